@@ -1,0 +1,1 @@
+"""Nearfield server: cameras in, a few virtual area lights and spherical harmonics out."""
