@@ -1,0 +1,1 @@
+"""The web side of the service: page, REST, websocket and metrics on one port. The only importer of FastAPI."""
