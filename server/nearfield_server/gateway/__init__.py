@@ -1,1 +1,1 @@
-"""The web side of the service: page, REST, websocket and metrics on one port. The only importer of FastAPI."""
+"""The web side of the service: page, REST, websocket, metrics on one port. The only importer of FastAPI."""

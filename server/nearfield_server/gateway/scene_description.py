@@ -1,7 +1,8 @@
 """What `GET /api/scene` returns: everything that a client needs to know once, before light packets arrive.
 
-The field names are those of the JSON. Units, frames and index rules: protocol/CONVENTIONS.md. URLs are relative to the page
-(`assets/room.glb`), so that the service also works below a path of a reverse proxy.
+The field names are those of the JSON. Units, frames and index rules:
+protocol/CONVENTIONS.md. URLs are relative to the page (`assets/room.glb`), so that the service also works
+below a path of a reverse proxy.
 """
 
 from __future__ import annotations
@@ -74,7 +75,8 @@ class RoomDescription(_Record):
     Attributes:
         name: of the room file.
         model_url: GLB with the geometry and the atlas UVs (TEXCOORD_0).
-        revision: number that light packets repeat as `room_revision`; a packet with another number belongs to another model.
+        revision: number that light packets repeat as `room_revision`; a packet with another number
+            belongs to another model.
         atlas: the radiance atlas.
         bounds: box around the room model.
     """
@@ -120,10 +122,12 @@ class ViewDescription(_Record):
     Attributes:
         index: position in `views`.
         id: from the room file.
-        width: pixels. height: pixels. fx, fy: focal lengths, pixels. cx, cy: principal point, pixels (centres are integers).
+        width: pixels. height: pixels. fx, fy: focal lengths, pixels.
+        cx, cy: principal point, pixels (centres are integers).
         world_from_camera: OpenCV camera axes, row-major.
-        background_urls: linear OpenEXR pictures of the empty room, one per entry of `lights`, in that order; picture k shows white
-            light k at `basis_radiance` alone: `background = sum_k weight_k * radiance_k / basis_radiance_k * picture_k`.
+        background_urls: linear OpenEXR pictures of the empty room, one per entry of `lights`, in that order;
+            picture k shows white light k at `basis_radiance` alone:
+            `background = sum_k weight_k * radiance_k / basis_radiance_k * picture_k`.
             Empty when the view has no pictures (the client then draws the room from the streamed atlas).
     """
 
@@ -168,8 +172,8 @@ class SettingsDescription(_Record):
     Attributes:
         num_vals: slots per light packet.
         light_encoding: "compact" or "plain", what the server sends unless a client asks for the other.
-        exposure: factor on linear radiance before the sRGB transfer function; null = the client brings the 98th percentile of the
-            luminance of its first background to 0.9.
+        exposure: factor on linear radiance before the sRGB transfer function; null = the client brings the
+            98th percentile of the luminance of its first background to 0.9.
         stale_after_ms: light older than this is shown as stale.
     """
 
@@ -210,7 +214,7 @@ class SceneDescription(_Record):
 
 
 def check_rigid(matrix: tuple[float, ...], where: str) -> None:
-    """Refuse a row-major 4x4 that is not a rotation and a translation (tolerance 1e-3 on each scalar product).
+    """Refuse a row-major 4x4 that is not a rotation and a translation (tolerance 1e-3 per scalar product).
 
     Raises:
         ValueError: names `where`, what was expected and what was found.
@@ -223,7 +227,8 @@ def check_rigid(matrix: tuple[float, ...], where: str) -> None:
             product = math.fsum(a * b for a, b in zip(columns[i], columns[j], strict=True))
             if abs(product - (i == j)) > 1e-3:
                 raise ValueError(
-                    f"{where}: expected orthonormal axes (no scale), found axis {i} . axis {j} = {product:.6g}"
+                    f"{where}: expected orthonormal axes without scale, "
+                    f"found axis {i} . axis {j} = {product:.6g}"
                 )
     a, b, c = columns
     determinant = (
