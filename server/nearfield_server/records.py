@@ -8,8 +8,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from nearfield_calibration.models import FisheyeIntrinsics, PinholeIntrinsics
 from numpy.typing import NDArray
+
+from nearfield_calibration.models import FisheyeIntrinsics, PinholeIntrinsics
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
