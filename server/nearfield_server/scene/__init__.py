@@ -1,0 +1,1 @@
+"""Everything read from disk: rooms, bundles, meshes, prepared models."""
