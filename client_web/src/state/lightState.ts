@@ -1,0 +1,469 @@
+/**
+ * The light that is shown: the newest packet wins, and what is on the screen cross-fades to it.
+ *
+ * A light that kept its slot and generation is interpolated. A light that took over a slot fades in at its own place
+ * while the former one fades out where it stood, so no light slides through the room and the summed radiant intensity
+ * is linear in time. No array is allocated per frame.
+ */
+
+/** Floats per slot: position 3, area, normal 3, 0, radiant intensity 3, 0, 0 0 0 0. */
+export const FLOATS_PER_VAL = 16
+/** Most lights on the screen, fading ones included: the renderer keeps one shadow tile for each. */
+export const MAX_SHOWN_VALS = 64
+export const SH_FLOATS_PER_OBJECT = 27
+
+const AREA = 3
+const NORMAL = 4
+const INTENSITY = 8
+
+const FREE = -1
+const FADING_OUT = -2
+/** Of a former session: shown unchanged until the next packet, then fading out. */
+const ORPHANED = -3
+
+/** A decoded light packet, as structure of arrays. Slots without light have zero radiant intensity. */
+export interface LightInput {
+  readonly sequence: number
+  readonly valCount: number
+  /** 3 per slot, world, metres. */
+  readonly position: Float32Array
+  /** 3 per slot, unit. */
+  readonly normal: Float32Array
+  /** 3 per slot, W/sr. */
+  readonly radiantIntensity: Float32Array
+  /** 1 per slot, square metres. */
+  readonly area: Float32Array
+  readonly generation: Uint8Array
+  /** 27 per object: sh_coeffs (9, 3), world axes. */
+  readonly objectSh: Float32Array
+}
+
+/** What the renderer shows now. The same object is returned by every call of `sample`. */
+export interface LightFrame {
+  /** `FLOATS_PER_VAL` per slot. */
+  readonly vals: Float32Array
+  /** Slots to read; further ones are dark. */
+  count: number
+  objectSh: Float32Array
+  /** Some slot's position, normal or area differs from the previous sample (its shadow map is out of date). */
+  positionsChanged: boolean
+  /** 1 for those slots. */
+  readonly changedSlots: Uint8Array
+  /** Counts up whenever anything differs from the previous sample. */
+  revision: number
+}
+
+export interface LightStateOptions {
+  /** Fixed cross-fade time, ms; 0 switches at once. Without it: the measured time between updates. */
+  readonly fadeMs?: number
+}
+
+const SHORTEST_FADE_MS = 80
+const LONGEST_FADE_MS = 250
+
+export class LightState {
+  readonly #from = new Float32Array(MAX_SHOWN_VALS * FLOATS_PER_VAL)
+  readonly #to = new Float32Array(MAX_SHOWN_VALS * FLOATS_PER_VAL)
+  readonly #scratch = new Float32Array(FLOATS_PER_VAL)
+  /** Owner of each shown slot: slot of the packet, FREE or FADING_OUT. */
+  readonly #packetSlot = new Int16Array(MAX_SHOWN_VALS).fill(FREE)
+  readonly #shownSlot = new Int16Array(MAX_SHOWN_VALS).fill(FREE)
+  readonly #generation = new Uint8Array(MAX_SHOWN_VALS)
+  #shFrom = new Float32Array(0)
+  #shTo = new Float32Array(0)
+  readonly #fixedFadeMs: number | undefined
+  #intervalMs = 0
+  #fadeStart = 0
+  #fadeMs = 0
+  #fading = false
+  #lastPushMs = 0
+  #sequence: number | undefined
+  #started = false
+  #orphans = false
+  readonly #frame: LightFrame = {
+    vals: new Float32Array(MAX_SHOWN_VALS * FLOATS_PER_VAL),
+    count: 0,
+    objectSh: new Float32Array(0),
+    positionsChanged: false,
+    changedSlots: new Uint8Array(MAX_SHOWN_VALS),
+    revision: 0,
+  }
+
+  constructor(options: LightStateOptions = {}) {
+    this.#fixedFadeMs = options.fadeMs
+  }
+
+  /** Sequence of the newest packet, or undefined before the first. */
+  get sequence(): number | undefined {
+    return this.#sequence
+  }
+
+  /** Whether the next sample differs from the last one because a cross-fade goes on. */
+  get fading(): boolean {
+    return this.#fading
+  }
+
+  /** Measured time between updates, ms; 0 before the second. */
+  get updateIntervalMs(): number {
+    return this.#intervalMs
+  }
+
+  /**
+   * Takes over a packet unless it is older than the newest one (sequences wrap at 2^32).
+   *
+   * @returns false when the packet was out of date.
+   * @throws RangeError when the packet has more slots than can be shown.
+   */
+  push(packet: LightInput, nowMs: number): boolean {
+    if (packet.valCount > MAX_SHOWN_VALS) {
+      throw new RangeError(`light packet: expected at most ${MAX_SHOWN_VALS} slots, found ${packet.valCount}`)
+    }
+    if (this.#sequence !== undefined && ((packet.sequence - this.#sequence) | 0) <= 0) {
+      return false
+    }
+    this.#sequence = packet.sequence
+    this.#measureInterval(nowMs)
+    if (this.#started && !this.#orphans && !this.#differs(packet)) {
+      return true
+    }
+    this.#freeze(this.#amount(nowMs))
+    this.#orphans = false
+    if (packet.objectSh.length !== this.#shTo.length) {
+      // Another number of objects: there is nothing to fade from.
+      this.#shTo = packet.objectSh.slice()
+      this.#shFrom = packet.objectSh.slice()
+    }
+    for (let slot = 0; slot < MAX_SHOWN_VALS; slot++) {
+      this.#retarget(packet, slot)
+    }
+    this.#settlePlaces()
+    this.#shTo.set(packet.objectSh)
+    this.#fadeMs = this.#started ? this.#nextFadeMs() : 0
+    this.#fadeStart = nowMs
+    this.#fading = true
+    this.#started = true
+    return true
+  }
+
+  /** After a new session: accepts any sequence, and trusts no slot to hold the light that it held before. */
+  reset(): void {
+    this.#sequence = undefined
+    this.#lastPushMs = 0
+    this.#shownSlot.fill(FREE)
+    for (let shown = 0; shown < MAX_SHOWN_VALS; shown++) {
+      if (this.#packetSlot[shown] !== FREE) {
+        this.#packetSlot[shown] = ORPHANED
+      }
+    }
+    this.#orphans = true
+  }
+
+  /** What to show now. The flags tell what differs from the previous call. */
+  sample(nowMs: number): LightFrame {
+    const frame = this.#frame
+    frame.positionsChanged = false
+    frame.changedSlots.fill(0)
+    if (!this.#fading) {
+      return frame
+    }
+    const amount = this.#amount(nowMs)
+    let changed = false
+    let count = 0
+    for (let shown = 0; shown < MAX_SHOWN_VALS; shown++) {
+      if (this.#packetSlot[shown] === FREE) {
+        continue
+      }
+      this.#mix(shown, amount, this.#scratch)
+      count = shown + 1
+      changed = this.#deliver(shown) || changed
+    }
+    changed = this.#mixSh(amount) || changed
+    if (amount >= 1) {
+      this.#fading = false
+      count = this.#dropFaded()
+    }
+    if (changed || frame.count !== count) {
+      frame.revision++
+    }
+    frame.count = count
+    return frame
+  }
+
+  #amount(nowMs: number): number {
+    if (this.#fadeMs <= 0) {
+      return 1
+    }
+    return Math.min(1, Math.max(0, (nowMs - this.#fadeStart) / this.#fadeMs))
+  }
+
+  #nextFadeMs(): number {
+    if (this.#fixedFadeMs !== undefined) {
+      return this.#fixedFadeMs
+    }
+    return Math.min(LONGEST_FADE_MS, Math.max(SHORTEST_FADE_MS, this.#intervalMs))
+  }
+
+  #measureInterval(nowMs: number): void {
+    if (this.#lastPushMs > 0) {
+      const interval = nowMs - this.#lastPushMs
+      // A pause (nothing changed for a while) says nothing about the rate of updates.
+      if (interval < 1000) {
+        this.#intervalMs = this.#intervalMs === 0 ? interval : 0.8 * this.#intervalMs + 0.2 * interval
+      }
+    }
+    this.#lastPushMs = nowMs
+  }
+
+  /** Whether the packet asks for anything else than what is shown or being faded to. */
+  #differs(packet: LightInput): boolean {
+    if (packet.objectSh.length !== this.#shTo.length) {
+      return true
+    }
+    for (let i = 0; i < this.#shTo.length; i++) {
+      if (packet.objectSh[i] !== this.#shTo[i]) {
+        return true
+      }
+    }
+    for (let slot = 0; slot < MAX_SHOWN_VALS; slot++) {
+      const shown = at(this.#shownSlot, slot)
+      const lit = slot < packet.valCount && isLit(packet.radiantIntensity, 3 * slot)
+      if (shown === FREE) {
+        if (lit) {
+          return true
+        }
+      } else if (lit && packet.generation[slot] !== this.#generation[slot]) {
+        return true
+      } else if (!this.#equalsTarget(packet, slot, shown, lit)) {
+        return true
+      }
+    }
+    return false
+  }
+
+  #equalsTarget(packet: LightInput, slot: number, shown: number, lit: boolean): boolean {
+    const base = shown * FLOATS_PER_VAL
+    if (!lit) {
+      return !isLit(this.#to, base + INTENSITY)
+    }
+    for (let axis = 0; axis < 3; axis++) {
+      if (
+        packet.position[3 * slot + axis] !== this.#to[base + axis] ||
+        packet.normal[3 * slot + axis] !== this.#to[base + NORMAL + axis] ||
+        packet.radiantIntensity[3 * slot + axis] !== this.#to[base + INTENSITY + axis]
+      ) {
+        return false
+      }
+    }
+    return packet.area[slot] === this.#to[base + AREA]
+  }
+
+  /** Makes what is shown now the start of the next cross-fade. */
+  #freeze(amount: number): void {
+    for (let shown = 0; shown < MAX_SHOWN_VALS; shown++) {
+      this.#mix(shown, amount, this.#scratch)
+      this.#from.set(this.#scratch, shown * FLOATS_PER_VAL)
+      if (this.#packetSlot[shown] === ORPHANED) {
+        this.#fadeOut(shown)
+      }
+      if (this.#packetSlot[shown] === FADING_OUT && !isLit(this.#scratch, INTENSITY)) {
+        this.#packetSlot[shown] = FREE
+      }
+    }
+    for (let i = 0; i < this.#shTo.length; i++) {
+      this.#shFrom[i] = mix(at(this.#shFrom, i), at(this.#shTo, i), amount)
+    }
+  }
+
+  #retarget(packet: LightInput, slot: number): void {
+    const lit = slot < packet.valCount && isLit(packet.radiantIntensity, 3 * slot)
+    const generation = slot < packet.valCount ? at(packet.generation, slot) : at(this.#generation, slot)
+    let shown = at(this.#shownSlot, slot)
+    if (shown !== FREE && generation !== this.#generation[slot]) {
+      shown = this.#handOver(shown, lit)
+    } else if (shown === FREE && lit) {
+      shown = this.#allocate()
+    }
+    this.#generation[slot] = generation
+    this.#shownSlot[slot] = shown
+    if (shown === FREE) {
+      return
+    }
+    this.#packetSlot[shown] = slot
+    const base = shown * FLOATS_PER_VAL
+    if (!lit) {
+      this.#to.fill(0, base + INTENSITY, base + INTENSITY + 3)
+      return
+    }
+    for (let axis = 0; axis < 3; axis++) {
+      this.#to[base + axis] = at(packet.position, 3 * slot + axis)
+      this.#to[base + NORMAL + axis] = at(packet.normal, 3 * slot + axis)
+      this.#to[base + INTENSITY + axis] = at(packet.radiantIntensity, 3 * slot + axis)
+    }
+    this.#to[base + AREA] = at(packet.area, slot)
+  }
+
+  /** The packet slot belongs to another light from now on: returns the shown slot of the new one. */
+  #handOver(shown: number, lit: boolean): number {
+    if (!isLit(this.#from, shown * FLOATS_PER_VAL + INTENSITY)) {
+      return lit ? shown : this.#fadeOut(shown)
+    }
+    if (!lit) {
+      return this.#fadeOut(shown)
+    }
+    const other = this.#allocate()
+    if (other === FREE) {
+      // Everything is in use: the place jumps, the radiant intensity still fades.
+      this.#jump(shown)
+      return shown
+    }
+    this.#fadeOut(shown)
+    return other
+  }
+
+  #fadeOut(shown: number): typeof FREE {
+    const base = shown * FLOATS_PER_VAL
+    this.#packetSlot[shown] = FADING_OUT
+    this.#to.fill(0, base + INTENSITY, base + INTENSITY + 3)
+    return FREE
+  }
+
+  /** A dark slot, else the one that is fading out and has least radiant intensity, else FREE. */
+  #allocate(): number {
+    let dimmest = FREE
+    let least = Number.POSITIVE_INFINITY
+    for (let shown = 0; shown < MAX_SHOWN_VALS; shown++) {
+      const base = shown * FLOATS_PER_VAL
+      if (this.#packetSlot[shown] === FREE) {
+        this.#from.fill(0, base, base + FLOATS_PER_VAL)
+        this.#to.fill(0, base, base + FLOATS_PER_VAL)
+        return shown
+      }
+      if (this.#packetSlot[shown] === FADING_OUT) {
+        const remaining =
+          at(this.#from, base + INTENSITY) +
+          at(this.#from, base + INTENSITY + 1) +
+          at(this.#from, base + INTENSITY + 2)
+        if (remaining < least) {
+          least = remaining
+          dimmest = shown
+        }
+      }
+    }
+    if (dimmest !== FREE) {
+      this.#jump(dimmest)
+    }
+    return dimmest
+  }
+
+  /** Marks the slot's start place as void, so that `#settlePlaces` takes the target's. */
+  #jump(shown: number): void {
+    const base = shown * FLOATS_PER_VAL
+    this.#from.fill(0, base + NORMAL, base + NORMAL + 3)
+  }
+
+  /** A light that is dark at one end of the fade stands still where it is lit. */
+  #settlePlaces(): void {
+    for (let shown = 0; shown < MAX_SHOWN_VALS; shown++) {
+      const base = shown * FLOATS_PER_VAL
+      const startLit = isLit(this.#from, base + INTENSITY)
+      if (!startLit || !isLit(this.#from, base + NORMAL)) {
+        copyPlace(this.#to, this.#from, base)
+      } else if (!isLit(this.#to, base + INTENSITY)) {
+        copyPlace(this.#from, this.#to, base)
+      }
+    }
+  }
+
+  /** Writes the state of one shown slot; both ends of the fade are exact. */
+  #mix(shown: number, amount: number, out: Float32Array): void {
+    const base = shown * FLOATS_PER_VAL
+    for (let i = 0; i < FLOATS_PER_VAL; i++) {
+      out[i] = mix(at(this.#from, base + i), at(this.#to, base + i), amount)
+    }
+    if (amount <= 0 || amount >= 1 || sameNormal(this.#from, this.#to, base)) {
+      return
+    }
+    const length = Math.hypot(at(out, NORMAL), at(out, NORMAL + 1), at(out, NORMAL + 2))
+    for (let axis = 0; axis < 3; axis++) {
+      // Opposite normals have no direction between them.
+      out[NORMAL + axis] =
+        length < 1e-3 ? at(this.#to, base + NORMAL + axis) : at(out, NORMAL + axis) / length
+    }
+  }
+
+  /** Copies the scratch slot to the frame and notes what differs. */
+  #deliver(shown: number): boolean {
+    const frame = this.#frame
+    const base = shown * FLOATS_PER_VAL
+    let changed = false
+    for (let i = 0; i < FLOATS_PER_VAL; i++) {
+      if (frame.vals[base + i] !== this.#scratch[i]) {
+        changed = true
+        if (i < INTENSITY) {
+          frame.changedSlots[shown] = 1
+          frame.positionsChanged = true
+        }
+      }
+    }
+    frame.vals.set(this.#scratch, base)
+    return changed
+  }
+
+  #mixSh(amount: number): boolean {
+    const frame = this.#frame
+    let changed = false
+    if (frame.objectSh.length !== this.#shTo.length) {
+      frame.objectSh = new Float32Array(this.#shTo.length)
+      changed = true
+    }
+    for (let i = 0; i < this.#shTo.length; i++) {
+      const before = frame.objectSh[i]
+      frame.objectSh[i] = mix(at(this.#shFrom, i), at(this.#shTo, i), amount)
+      changed = changed || frame.objectSh[i] !== before
+    }
+    return changed
+  }
+
+  /** Gives up slots whose light has gone; returns how many slots remain in use. */
+  #dropFaded(): number {
+    let count = 0
+    for (let shown = 0; shown < MAX_SHOWN_VALS; shown++) {
+      if (this.#packetSlot[shown] === FADING_OUT) {
+        this.#packetSlot[shown] = FREE
+      }
+      if (this.#packetSlot[shown] !== FREE) {
+        count = shown + 1
+      }
+    }
+    return count
+  }
+}
+
+function at(values: Float32Array | Int16Array | Uint8Array, index: number): number {
+  return values[index] as number
+}
+
+function mix(from: number, to: number, amount: number): number {
+  if (amount <= 0) {
+    return from
+  }
+  return amount >= 1 ? to : (1 - amount) * from + amount * to
+}
+
+function isLit(values: Float32Array, offset: number): boolean {
+  return values[offset] !== 0 || values[offset + 1] !== 0 || values[offset + 2] !== 0
+}
+
+function sameNormal(from: Float32Array, to: Float32Array, base: number): boolean {
+  return (
+    from[base + NORMAL] === to[base + NORMAL] &&
+    from[base + NORMAL + 1] === to[base + NORMAL + 1] &&
+    from[base + NORMAL + 2] === to[base + NORMAL + 2]
+  )
+}
+
+function copyPlace(source: Float32Array, target: Float32Array, base: number): void {
+  for (let i = 0; i < INTENSITY; i++) {
+    target[base + i] = at(source, base + i)
+  }
+}
