@@ -1,0 +1,232 @@
+"""A room as the service sees it: from a room.toml, or from an evaluation bundle (a bundle is a room)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nearfield_calibration.models import PinholeIntrinsics
+from nearfield_server.errors import AssetError, ConfigError
+from nearfield_server.records import CameraModel, LightSettings, TabletView
+from nearfield_server.scene.bundle import SCENE_FILE, Bundle, load_bundle
+from nearfield_server.scene.room_schema import ExrSequenceTable, RoomTable, read_room_table
+
+ROOM_FILE = "room.toml"
+DEFAULT_ATLAS_SIZE = 1024
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LabSourceConfig:
+    """A camera of the virtual lab: basis pictures (one file per light), mixed by the light weights."""
+
+    files: tuple[Path, ...]
+    kind: Literal["lab"] = "lab"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ExrSequenceSourceConfig:
+    """A camera that replays the EXR pictures of a folder in the order of their names."""
+
+    folder: Path
+    kind: Literal["exr_sequence"] = "exr_sequence"
+
+
+SourceConfig = LabSourceConfig | ExrSequenceSourceConfig
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ObjectConfig:
+    """A virtual object: name (safe as a file name), GLB, linear albedo (3,), pose at start (4, 4) float64."""
+
+    name: str
+    model_path: Path
+    albedo: tuple[float, float, float]
+    world_from_object: NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SwitchableLight:
+    """A light of the virtual lab.
+
+    Attributes:
+        name: identifier.
+        radiance: (3,) at weight 1, W/(sr m^2).
+        basis_radiance: white radiance of its basis pictures.
+        weight: at start.
+    """
+
+    name: str
+    radiance: tuple[float, float, float]
+    basis_radiance: float
+    weight: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RoomConfig:
+    """Everything a room file says; paths are absolute or relative to the working directory and exist.
+
+    Attributes:
+        name: for people and bus keys.
+        folder: of the room file; `TabletView.background_files` are relative to it.
+        model_path: room GLB.
+        cameras: fish-eyes. sources: one per camera.
+        objects, views, lights: see there.
+        light: settings of the light extraction.
+        atlas_size: largest side of the atlas, texels.
+        frame_rate: frames per second asked of the sources.
+    """
+
+    name: str
+    folder: Path
+    model_path: Path
+    cameras: tuple[CameraModel, ...]
+    sources: tuple[SourceConfig, ...]
+    objects: tuple[ObjectConfig, ...]
+    views: tuple[TabletView, ...]
+    lights: tuple[SwitchableLight, ...]
+    light: LightSettings
+    atlas_size: int
+    frame_rate: float
+
+
+def load_room(path: str | Path) -> RoomConfig:
+    """Read a room.
+
+    Args:
+        path: room.toml, scene.json, or a folder with one of them (room.toml first).
+
+    Raises:
+        ConfigError: the room file is wrong; one line per wrong key.
+        AssetError: a file that it names, or the bundle, is missing or wrong.
+    """
+    path = Path(path)
+    if path.is_dir():
+        file = next((path / name for name in (ROOM_FILE, SCENE_FILE) if (path / name).is_file()), None)
+        if file is None:
+            raise ConfigError(f"{path}: expected {ROOM_FILE} or {SCENE_FILE} in this folder, found neither.")
+        path = file
+    if not path.is_file():
+        raise ConfigError(
+            f"{path}: no such room. Give a {ROOM_FILE}, a {SCENE_FILE}, or a folder that holds one."
+        )
+    if path.suffix == ".json":
+        return room_from_bundle(load_bundle(path))
+    return _room_from_table(read_room_table(path), path)
+
+
+def room_from_bundle(bundle: Bundle) -> RoomConfig:
+    """The room of an evaluation bundle, all lights at weight 1."""
+    return RoomConfig(
+        name=bundle.name,
+        folder=bundle.folder,
+        model_path=bundle.model_path,
+        cameras=tuple(camera.model for camera in bundle.cameras),
+        sources=tuple(LabSourceConfig(files=camera.files) for camera in bundle.cameras),
+        objects=tuple(
+            ObjectConfig(
+                name=item.name,
+                model_path=item.model_path,
+                albedo=item.albedo,
+                world_from_object=item.world_from_object,
+            )
+            for item in bundle.objects
+        ),
+        views=tuple(view.model for view in bundle.views),
+        lights=tuple(
+            SwitchableLight(
+                name=light.name, radiance=light.radiance, basis_radiance=light.basis_radiance, weight=1.0
+            )
+            for light in bundle.lights
+        ),
+        light=LightSettings(),
+        atlas_size=DEFAULT_ATLAS_SIZE,
+        frame_rate=30.0,
+    )
+
+
+def _room_from_table(table: RoomTable, file: Path) -> RoomConfig:
+    folder = file.parent
+    for key in ("lights", "objects"):
+        _check_unique(file, f"{key}.name", [item.name for item in getattr(table, key)])
+    for key in ("cameras", "views"):
+        _check_unique(file, f"{key}.id", [item.id for item in getattr(table, key)])
+    return RoomConfig(
+        name=table.name,
+        folder=folder,
+        model_path=_existing(file, "model", table.model),
+        cameras=tuple(
+            CameraModel(
+                camera_id=camera.id,
+                intrinsics=camera.intrinsics,
+                world_from_camera=np.array(camera.world_from_camera, dtype=np.float64),
+            )
+            for camera in table.cameras
+        ),
+        sources=tuple(_source(table, index, file) for index in range(len(table.cameras))),
+        objects=tuple(
+            ObjectConfig(
+                name=item.name,
+                model_path=_existing(file, f"objects[{index}].model", item.model),
+                albedo=item.albedo,
+                world_from_object=np.array(item.world_from_object, dtype=np.float64),
+            )
+            for index, item in enumerate(table.objects)
+        ),
+        views=tuple(_view(table, index, file) for index in range(len(table.views))),
+        lights=tuple(SwitchableLight(**light.model_dump()) for light in table.lights),
+        light=LightSettings(**table.light.model_dump()),
+        atlas_size=table.atlas_size,
+        frame_rate=table.frame_rate,
+    )
+
+
+def _source(table: RoomTable, index: int, file: Path) -> SourceConfig:
+    key = f"cameras[{index}].source"
+    source = table.cameras[index].source
+    if isinstance(source, ExrSequenceTable):
+        folder = file.parent / source.folder
+        if not folder.is_dir():
+            raise AssetError(f"{file}:{key}.folder: expected an existing folder, found {source.folder!r}.")
+        return ExrSequenceSourceConfig(folder=folder)
+    _check_one_per_light(table, file, f"{key}.files", source.files)
+    return LabSourceConfig(files=tuple(_existing(file, f"{key}.files", name) for name in source.files))
+
+
+def _view(table: RoomTable, index: int, file: Path) -> TabletView:
+    view = table.views[index]
+    if view.background:
+        _check_one_per_light(table, file, f"views[{index}].background", view.background)
+    for name in view.background:
+        _existing(file, f"views[{index}].background", name)
+    return TabletView(
+        view_id=view.id,
+        intrinsics=PinholeIntrinsics(
+            width=view.width, height=view.height, fx=view.fx, fy=view.fy, cx=view.cx, cy=view.cy
+        ),
+        world_from_camera=np.array(view.world_from_camera, dtype=np.float64),
+        background_files=view.background,
+    )
+
+
+def _check_one_per_light(table: RoomTable, file: Path, key: str, names: tuple[str, ...]) -> None:
+    if len(names) != len(table.lights):
+        raise ConfigError(
+            f"{file}:{key}: expected {len(table.lights)} files (one per entry of lights), found {len(names)}."
+        )
+
+
+def _check_unique(file: Path, key: str, names: list[str]) -> None:
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise ConfigError(f"{file}:{key}: expected different values, found {twice} more than once.")
+
+
+def _existing(file: Path, key: str, name: str) -> Path:
+    path = file.parent / name
+    if not path.is_file():
+        raise AssetError(f"{file}:{key}: expected an existing file, found {name!r}.")
+    return path
