@@ -1,0 +1,105 @@
+"""Typed messages of the bus. Light packets and control requests are bytes of the wire protocol (protocol/SPEC.md); the rest is JSON."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nearfield_server.errors import BusError
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ObjectPlacement:
+    """Where an object stands: `revision` changes whenever `world_from_object` (4, 4) does."""
+
+    revision: int
+    world_from_object: NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ControlState:
+    """What users have set; the supervisor alone changes it.
+
+    Attributes:
+        revision: counts up with every change.
+        light_weights: one per switchable light, >= 0.
+        objects: one per object of the room file.
+        atlas_wanted: whether any client asks for the room's radiance atlas.
+    """
+
+    revision: int
+    light_weights: tuple[float, ...]
+    objects: tuple[ObjectPlacement, ...]
+    atlas_wanted: bool = False
+
+    def to_json(self) -> bytes:
+        """Serialise; `from_json` gives back an equal state."""
+        return json.dumps(
+            {
+                "revision": self.revision,
+                "light_weights": list(self.light_weights),
+                "objects": [
+                    {"revision": o.revision, "world_from_object": o.world_from_object.tolist()}
+                    for o in self.objects
+                ],
+                "atlas_wanted": self.atlas_wanted,
+            },
+            allow_nan=False,
+        ).encode()
+
+    @classmethod
+    def from_json(cls, payload: bytes) -> ControlState:
+        """Parse and check.
+
+        Raises:
+            BusError: not JSON, or a field is missing or impossible.
+        """
+        message = parse_object(payload, "control/state")
+        try:
+            return cls(
+                revision=int(message["revision"]),
+                light_weights=tuple(_weight(weight) for weight in message["light_weights"]),
+                objects=tuple(
+                    ObjectPlacement(
+                        revision=int(entry["revision"]), world_from_object=_pose(entry["world_from_object"])
+                    )
+                    for entry in message["objects"]
+                ),
+                atlas_wanted=bool(message["atlas_wanted"]),
+            )
+        except (KeyError, TypeError, ValueError) as error:
+            raise BusError(f"control/state: malformed ({type(error).__name__}: {error})") from error
+
+
+def _weight(value: Any) -> float:
+    weight = float(value)
+    if not (math.isfinite(weight) and weight >= 0):
+        raise ValueError(f"light weight {value}, expected a finite number >= 0")
+    return weight
+
+
+def _pose(value: Any) -> NDArray[np.float64]:
+    pose = np.asarray(value, np.float64)
+    if pose.shape != (4, 4) or not np.isfinite(pose).all():
+        raise ValueError(f"world_from_object of shape {pose.shape}, expected (4, 4) finite numbers")
+    return pose
+
+
+def parse_object(payload: bytes, key: str) -> dict[str, Any]:
+    """Parse a JSON object.
+
+    Raises:
+        BusError: not a JSON object.
+    """
+    try:
+        message = json.loads(payload)
+    except ValueError as error:
+        raise BusError(f"{key}: not JSON ({error})") from error
+    if not isinstance(message, dict):
+        raise BusError(f"{key}: {type(message).__name__}, expected a JSON object")
+    return message
