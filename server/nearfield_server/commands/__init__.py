@@ -1,0 +1,1 @@
+"""The commands of the `nearfield` command line; each module is one command."""

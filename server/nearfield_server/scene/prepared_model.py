@@ -1,0 +1,284 @@
+"""Prepared models: a GLB with all that the client needs to light an object (server/ARCHITECTURE.md, Prepared model)."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nearfield_server.errors import AssetError
+from nearfield_server.scene.glb_container import Glb, GlbWriter, read_glb
+from nearfield_server.scene.occlusion_field import MAX_RESOLUTION, NUM_CHANNELS, OcclusionField
+from nearfield_server.scene.shadow_proxy import ShadowProxy
+from nearfield_server.scene.transfer import Transfer
+
+FORMAT_VERSION = 1
+"""Of `extras.nearfield`; part of the cache key, so a change makes cached models be prepared again."""
+
+_TRANSFER_ATTRIBUTES = ("_SHADOWED", "_BOUNCE1", "_BOUNCE2")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PreparedModel:
+    """A virtual object with everything that was computed beforehand, object axes, metres.
+
+    Attributes:
+        positions: (V, 3) float32. normals: (V, 3) float32 unit. faces: (F, 3) int32.
+        albedo: (3,) float64 linear, of the material; a room file may override it.
+        transfer: coefficients per vertex.
+        proxy: decimated mesh for shadow maps.
+        occlusion_field: what the object blocks, seen from around it.
+        centre: (3,) float64, centre of the bounding sphere. radius: of it.
+        preset: sampling quality. source_hash: SHA-256 of the file that was prepared.
+    """
+
+    positions: NDArray[np.float32]
+    normals: NDArray[np.float32]
+    faces: NDArray[np.int32]
+    albedo: NDArray[np.float64]
+    transfer: Transfer
+    proxy: ShadowProxy
+    occlusion_field: OcclusionField
+    centre: NDArray[np.float64]
+    radius: float
+    preset: str
+    source_hash: str
+
+
+def save_prepared(model: PreparedModel, path: str | Path) -> None:
+    """Write a prepared model; the file appears whole or not at all.
+
+    Raises:
+        AssetError: the folder cannot be written.
+    """
+    path = Path(path)
+    data = _encode(model)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        descriptor, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+        try:
+            with os.fdopen(descriptor, "wb") as file:
+                file.write(data)
+            # mkstemp makes the file private; a model is as readable as any other file the user writes.
+            os.chmod(temporary, 0o644)
+            os.replace(temporary, path)
+        except BaseException:
+            os.unlink(temporary)
+            raise
+    except OSError as error:
+        raise AssetError(
+            f"{path}: cannot be written ({error.strerror}); choose another folder with -o"
+        ) from error
+
+
+def load_prepared(path: str | Path) -> PreparedModel:
+    """Read a prepared model.
+
+    Raises:
+        AssetError: not a GLB, not prepared, of another version, or inconsistent.
+    """
+    glb = read_glb(path)
+    extras = glb.document.get("extras")
+    info = extras.get("nearfield") if isinstance(extras, dict) else None
+    if not isinstance(info, dict):
+        raise AssetError(f"{path}: is not a prepared model; run `nearfield prepare {path}`")
+    if info.get("version") != FORMAT_VERSION:
+        raise AssetError(
+            f"{path}: prepared in format {info.get('version')!r}, this version reads {FORMAT_VERSION}; run `nearfield prepare` "
+            f"on the original model"
+        )
+    try:
+        return _decode(glb, info)
+    except (KeyError, TypeError, ValueError, IndexError) as error:
+        raise AssetError(
+            f"{path}: prepared data is incomplete ({error!r}); run `nearfield prepare` on the original model"
+        ) from error
+
+
+def source_hash(path: str | Path) -> str:
+    """SHA-256 of a file, hexadecimal.
+
+    Raises:
+        AssetError: it cannot be read.
+    """
+    try:
+        with Path(path).open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError as error:
+        raise AssetError(f"{path}: cannot be read ({error.strerror}); check the path") from error
+
+
+def ensure_prepared(
+    glb_path: str | Path, preset: str = "medium", albedo: NDArray[np.floating] | None = None
+) -> Path:
+    """Path of the prepared form of a model: itself if it is prepared, else from the cache, else prepared now into the cache.
+
+    The cache (`$XDG_CACHE_HOME/nearfield/prepared`) is keyed by the content of the file, preset, albedo and format, so an
+    edited model is prepared anew.
+
+    Args:
+        glb_path: any GLB.
+        preset: "preview", "medium" or "high".
+        albedo: (3,) instead of the material's.
+
+    Raises:
+        AssetError: the model cannot be prepared.
+    """
+    from nearfield_server.scene.prepare import prepare_model
+
+    path = Path(glb_path)
+    extras = read_glb(path).document.get("extras")
+    if isinstance(extras, dict) and "nearfield" in extras:
+        return path
+    colour = (
+        "" if albedo is None else "-" + hashlib.sha256(np.asarray(albedo, "<f8").tobytes()).hexdigest()[:8]
+    )
+    name = f"{path.stem}-{source_hash(path)[:24]}-{preset}{colour}-v{FORMAT_VERSION}.glb"
+    cached = cache_folder() / name
+    if cached.is_file():
+        try:
+            load_prepared(cached)
+        except AssetError:
+            cached.unlink(missing_ok=True)
+        else:
+            return cached
+    prepare_model(path, preset, cached, albedo=albedo)
+    return cached
+
+
+def cache_folder() -> Path:
+    """Where prepared models are kept."""
+    base = os.environ.get("XDG_CACHE_HOME")
+    return (Path(base) if base else Path.home() / ".cache") / "nearfield" / "prepared"
+
+
+def _encode(model: PreparedModel) -> bytes:
+    writer = GlbWriter()
+    document = writer.document
+    attributes = {
+        "POSITION": writer.add_vectors(model.positions),
+        "NORMAL": writer.add_vectors(model.normals),
+    }
+    tables = (model.transfer.shadowed, model.transfer.bounce1, model.transfer.bounce2)
+    for name, table in zip(_TRANSFER_ATTRIBUTES, tables, strict=True):
+        for part in range(3):
+            attributes[f"{name}_{part}"] = writer.add_vectors(table[:, 3 * part : 3 * part + 3])
+    primitive = {
+        "attributes": attributes,
+        "indices": writer.add_indices(model.faces),
+        "material": 0,
+        "mode": 4,
+    }
+    proxy = {
+        "attributes": {"POSITION": writer.add_vectors(model.proxy.positions)},
+        "indices": writer.add_indices(model.proxy.faces),
+        "mode": 4,
+    }
+    document["materials"] = [
+        {
+            "name": "model",
+            "pbrMetallicRoughness": {
+                "baseColorFactor": [*model.albedo.tolist(), 1.0],
+                "metallicFactor": 0.0,
+                "roughnessFactor": 1.0,
+            },
+        }
+    ]
+    document["meshes"] = [
+        {"name": "model", "primitives": [primitive]},
+        {"name": "shadow_proxy", "primitives": [proxy]},
+    ]
+    # Only the model is in the scene, so that ordinary viewers do not show the proxy on top of it.
+    document["nodes"] = [{"name": "model", "mesh": 0}, {"name": "shadow_proxy", "mesh": 1}]
+    document["scenes"], document["scene"] = [{"nodes": [0]}], 0
+    field = model.occlusion_field
+    document["extras"] = {
+        "nearfield": {
+            "version": FORMAT_VERSION,
+            "preset": model.preset,
+            "source_hash": model.source_hash,
+            "centre": model.centre.tolist(),
+            "radius": model.radius,
+            "bounceRatio": model.transfer.bounce_ratio,
+            "shadowProxyError": model.proxy.hausdorff,
+            "occlusionField": {
+                "resolution": list(field.resolution),
+                "boxMin": field.box_min.tolist(),
+                "boxSize": field.box_size.tolist(),
+                "bufferView": writer.add_buffer_view(field.coeffs.astype("<f2").tobytes()),
+            },
+        }
+    }
+    return writer.to_bytes()
+
+
+def _decode(glb: Glb, info: dict[str, Any]) -> PreparedModel:
+    primitive = glb.item("meshes", 0)["primitives"][0]
+    attributes = primitive["attributes"]
+    positions = glb.accessor(attributes["POSITION"], "VEC3")
+    count = len(positions)
+    normals = _vectors(glb, attributes["NORMAL"], count)
+    shadowed, bounce1, bounce2 = (
+        np.concatenate(
+            [_vectors(glb, attributes[f"{name}_{part}"], count) for part in range(3)], axis=1
+        ).astype(np.float64)
+        for name in _TRANSFER_ATTRIBUTES
+    )
+    ratio = float(info["bounceRatio"])
+    if not 0.0 <= ratio < 1.0:
+        raise ValueError(f"bounceRatio {ratio}")
+    albedo = np.asarray(
+        glb.item("materials", primitive["material"])["pbrMetallicRoughness"]["baseColorFactor"], np.float64
+    )
+    proxy_primitive = glb.item("meshes", 1)["primitives"][0]
+    proxy_positions = glb.accessor(proxy_primitive["attributes"]["POSITION"], "VEC3").astype(np.float64)
+    proxy = ShadowProxy(
+        positions=proxy_positions,
+        faces=_faces(glb, proxy_primitive["indices"], len(proxy_positions)),
+        hausdorff=float(info["shadowProxyError"]),
+    )
+    return PreparedModel(
+        positions=np.asarray(positions, np.float32),
+        normals=normals,
+        faces=_faces(glb, primitive["indices"], count),
+        albedo=albedo[:3],
+        transfer=Transfer(shadowed=shadowed, bounce1=bounce1, bounce2=bounce2, bounce_ratio=ratio),
+        proxy=proxy,
+        occlusion_field=_field(glb, info["occlusionField"]),
+        centre=np.asarray(info["centre"], np.float64).reshape(3),
+        radius=float(info["radius"]),
+        preset=str(info["preset"]),
+        source_hash=str(info["source_hash"]),
+    )
+
+
+def _field(glb: Glb, info: dict[str, Any]) -> OcclusionField:
+    nx, ny, nz = (int(n) for n in info["resolution"])
+    if not all(1 <= n <= 4 * MAX_RESOLUTION for n in (nx, ny, nz)):
+        raise ValueError(f"occlusionField.resolution {info['resolution']}")
+    coeffs = np.frombuffer(glb.buffer_view(info["bufferView"]), "<f2").reshape(nz, ny, nx, NUM_CHANNELS)
+    return OcclusionField(
+        coeffs=coeffs.astype(np.float16),
+        box_min=np.asarray(info["boxMin"], np.float64).reshape(3),
+        box_size=np.asarray(info["boxSize"], np.float64).reshape(3),
+    )
+
+
+def _vectors(glb: Glb, index: int, count: int) -> NDArray[np.float32]:
+    values = glb.accessor(index, "VEC3")
+    if len(values) != count or not np.isfinite(values).all():
+        raise ValueError(f"accessors[{index}] has {len(values)} finite rows, expected {count}")
+    return np.asarray(values, np.float32)
+
+
+def _faces(glb: Glb, index: int, count: int) -> NDArray[np.int32]:
+    faces = glb.accessor(index, "SCALAR").astype(np.int64).reshape(-1, 3)
+    if faces.min() < 0 or faces.max() >= count:
+        raise ValueError(f"accessors[{index}] points to vertex {faces.max()} of {count}")
+    return faces.astype(np.int32)
