@@ -1,0 +1,1 @@
+"""Pure mathematics of light: spherical harmonics, cube maps, form factors, half floats."""
