@@ -13,7 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nearfield_server.errors import AssetError
-from nearfield_server.scene.glb_container import Glb, GlbWriter, read_glb
+from nearfield_server.scene.glb_writer import GlbWriter
+from nearfield_server.scene.gltf import read_glb_chunks
+from nearfield_server.scene.gltf_accessors import Buffers
 from nearfield_server.scene.occlusion_field import MAX_RESOLUTION, NUM_CHANNELS, OcclusionField
 from nearfield_server.scene.shadow_proxy import ShadowProxy
 from nearfield_server.scene.transfer import Transfer
@@ -83,8 +85,9 @@ def load_prepared(path: str | Path) -> PreparedModel:
     Raises:
         AssetError: not a GLB, not prepared, of another version, or inconsistent.
     """
-    glb = read_glb(path)
-    extras = glb.document.get("extras")
+    path = Path(path)
+    document, binary = read_glb_chunks(path)
+    extras = document.get("extras")
     info = extras.get("nearfield") if isinstance(extras, dict) else None
     if not isinstance(info, dict):
         raise AssetError(f"{path}: is not a prepared model; run `nearfield prepare {path}`")
@@ -94,8 +97,8 @@ def load_prepared(path: str | Path) -> PreparedModel:
             f"on the original model"
         )
     try:
-        return _decode(glb, info)
-    except (KeyError, TypeError, ValueError, IndexError) as error:
+        return _decode(path, document, binary, info)
+    except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
         raise AssetError(
             f"{path}: prepared data is incomplete ({error!r}); run `nearfield prepare` on the original model"
         ) from error
@@ -133,7 +136,7 @@ def ensure_prepared(
     from nearfield_server.scene.prepare import prepare_model
 
     path = Path(glb_path)
-    extras = read_glb(path).document.get("extras")
+    extras = read_glb_chunks(path)[0].get("extras")
     if isinstance(extras, dict) and "nearfield" in extras:
         return path
     colour = (
@@ -218,39 +221,41 @@ def _encode(model: PreparedModel) -> bytes:
     return writer.to_bytes()
 
 
-def _decode(glb: Glb, info: dict[str, Any]) -> PreparedModel:
-    primitive = glb.item("meshes", 0)["primitives"][0]
+def _decode(path: Path, document: dict[str, Any], binary: bytes, info: dict[str, Any]) -> PreparedModel:
+    buffers = Buffers(path, document, binary)
+    primitive = document["meshes"][0]["primitives"][0]
     attributes = primitive["attributes"]
-    positions = glb.accessor(attributes["POSITION"], "VEC3")
-    count = len(positions)
-    normals = _vectors(glb, attributes["NORMAL"], count)
+
+    def vectors(name: str) -> NDArray[np.float64]:
+        values = buffers.floats(attributes[name], 3, name)
+        if len(values) != document["accessors"][attributes["POSITION"]]["count"]:
+            raise ValueError(f"{name} has {len(values)} rows")
+        return values
+
+    positions = vectors("POSITION")
     shadowed, bounce1, bounce2 = (
-        np.concatenate(
-            [_vectors(glb, attributes[f"{name}_{part}"], count) for part in range(3)], axis=1
-        ).astype(np.float64)
+        np.concatenate([vectors(f"{name}_{part}") for part in range(3)], axis=1)
         for name in _TRANSFER_ATTRIBUTES
     )
     ratio = float(info["bounceRatio"])
     if not 0.0 <= ratio < 1.0:
         raise ValueError(f"bounceRatio {ratio}")
-    albedo = np.asarray(
-        glb.item("materials", primitive["material"])["pbrMetallicRoughness"]["baseColorFactor"], np.float64
-    )
-    proxy_primitive = glb.item("meshes", 1)["primitives"][0]
-    proxy_positions = glb.accessor(proxy_primitive["attributes"]["POSITION"], "VEC3").astype(np.float64)
+    material = document["materials"][primitive["material"]]
+    proxy_primitive = document["meshes"][1]["primitives"][0]
+    proxy_positions = buffers.floats(proxy_primitive["attributes"]["POSITION"], 3, "shadow_proxy")
     proxy = ShadowProxy(
         positions=proxy_positions,
-        faces=_faces(glb, proxy_primitive["indices"], len(proxy_positions)),
+        faces=_faces(buffers, proxy_primitive["indices"], len(proxy_positions)),
         hausdorff=float(info["shadowProxyError"]),
     )
     return PreparedModel(
-        positions=np.asarray(positions, np.float32),
-        normals=normals,
-        faces=_faces(glb, primitive["indices"], count),
-        albedo=albedo[:3],
+        positions=positions.astype(np.float32),
+        normals=vectors("NORMAL").astype(np.float32),
+        faces=_faces(buffers, primitive["indices"], len(positions)),
+        albedo=np.asarray(material["pbrMetallicRoughness"]["baseColorFactor"], np.float64)[:3],
         transfer=Transfer(shadowed=shadowed, bounce1=bounce1, bounce2=bounce2, bounce_ratio=ratio),
         proxy=proxy,
-        occlusion_field=_field(glb, info["occlusionField"]),
+        occlusion_field=_field(document, binary, info["occlusionField"]),
         centre=np.asarray(info["centre"], np.float64).reshape(3),
         radius=float(info["radius"]),
         preset=str(info["preset"]),
@@ -258,11 +263,16 @@ def _decode(glb: Glb, info: dict[str, Any]) -> PreparedModel:
     )
 
 
-def _field(glb: Glb, info: dict[str, Any]) -> OcclusionField:
+def _field(document: dict[str, Any], binary: bytes, info: dict[str, Any]) -> OcclusionField:
     nx, ny, nz = (int(n) for n in info["resolution"])
-    if not all(1 <= n <= 4 * MAX_RESOLUTION for n in (nx, ny, nz)):
+    if not all(1 <= n <= MAX_RESOLUTION for n in (nx, ny, nz)):
         raise ValueError(f"occlusionField.resolution {info['resolution']}")
-    coeffs = np.frombuffer(glb.buffer_view(info["bufferView"]), "<f2").reshape(nz, ny, nx, NUM_CHANNELS)
+    view = document["bufferViews"][info["bufferView"]]
+    start = int(view["byteOffset"])
+    data = binary[start : start + int(view["byteLength"])]
+    coeffs = np.frombuffer(data, "<f2").reshape(nz, ny, nx, NUM_CHANNELS)
+    if not np.isfinite(coeffs).all():
+        raise ValueError("occlusionField holds values that are not finite")
     return OcclusionField(
         coeffs=coeffs.astype(np.float16),
         box_min=np.asarray(info["boxMin"], np.float64).reshape(3),
@@ -270,15 +280,5 @@ def _field(glb: Glb, info: dict[str, Any]) -> OcclusionField:
     )
 
 
-def _vectors(glb: Glb, index: int, count: int) -> NDArray[np.float32]:
-    values = glb.accessor(index, "VEC3")
-    if len(values) != count or not np.isfinite(values).all():
-        raise ValueError(f"accessors[{index}] has {len(values)} finite rows, expected {count}")
-    return np.asarray(values, np.float32)
-
-
-def _faces(glb: Glb, index: int, count: int) -> NDArray[np.int32]:
-    faces = glb.accessor(index, "SCALAR").astype(np.int64).reshape(-1, 3)
-    if faces.min() < 0 or faces.max() >= count:
-        raise ValueError(f"accessors[{index}] points to vertex {faces.max()} of {count}")
-    return faces.astype(np.int32)
+def _faces(buffers: Buffers, index: int, num_vertices: int) -> NDArray[np.int32]:
+    return buffers.indices(index, num_vertices, "indices").reshape(-1, 3).astype(np.int32)

@@ -13,7 +13,7 @@ from nearfield_server.scene.occlusion_field import compute_occlusion_field
 @pytest.fixture(scope="module")
 def sphere_field():
     sphere = trimesh.creation.icosphere(subdivisions=4, radius=0.5)
-    positions = [*np.asarray(sphere.vertices), 1.0, 2.0, 3.0]
+    positions = np.asarray(sphere.vertices) + np.array([1.0, 2.0, 3.0])
     return compute_occlusion_field(positions, np.asarray(sphere.faces), num_rays=2048)
 
 

@@ -19,7 +19,7 @@ def test_small_models_are_used_as_they_are():
 
 def test_large_models_become_a_few_hundred_faces_close_to_the_surface():
     torus = trimesh.creation.torus(0.5, 0.2, major_sections=96, minor_sections=48)
-    positions, faces = np.asarray(torus.vertices) + [5.0, 0, 0], np.asarray(torus.faces)
+    positions, faces = np.asarray(torus.vertices) + np.array([5.0, 0, 0]), np.asarray(torus.faces)
     proxy = make_shadow_proxy(positions, faces)
     assert 100 < len(proxy.faces) <= MAX_FACES
     assert 0.0 < proxy.hausdorff < 0.05 * 0.7
