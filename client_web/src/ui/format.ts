@@ -1,0 +1,44 @@
+/** Numbers as people read them. */
+
+/** sRGB colour of a lamp's hue: its strongest channel is full. */
+export function lampColour(radiance: readonly [number, number, number]): string {
+  const strongest = Math.max(...radiance)
+  if (strongest <= 0) {
+    return 'rgb(70, 70, 70)'
+  }
+  const [red, green, blue] = radiance.map((value) => Math.round(255 * encodeSrgb(value / strongest)))
+  return `rgb(${red}, ${green}, ${blue})`
+}
+
+/** The sRGB transfer function (IEC 61966-2-1), linear 0..1 to encoded 0..1. */
+export function encodeSrgb(linear: number): number {
+  return linear <= 0.0031308 ? 12.92 * linear : 1.055 * linear ** (1 / 2.4) - 0.055
+}
+
+export function milliseconds(value: number | null): string {
+  if (value === null || !Number.isFinite(value)) {
+    return '–'
+  }
+  return value < 10_000 ? `${Math.round(value)} ms` : `${(value / 1000).toFixed(0)} s`
+}
+
+export function bytes(value: number): string {
+  return value < 10_000 ? `${value} B` : `${(value / 1000).toFixed(1)} kB`
+}
+
+export function perSecond(value: number): string {
+  return `${value < 10 ? value.toFixed(1) : value.toFixed(0)} /s`
+}
+
+/** Exposure factor as photographic stops with a sign. */
+export function stops(exposure: number): string {
+  const value = Math.log2(exposure)
+  const rounded = Math.abs(value) < 0.05 ? 0 : value
+  return `${rounded > 0 ? '+' : rounded < 0 ? '−' : ''}${Math.abs(rounded).toFixed(1)}`
+}
+
+/** "ceiling_light" as "Ceiling light". */
+export function readableName(name: string): string {
+  const words = name.replaceAll(/[_-]+/g, ' ').trim()
+  return words === '' ? name : (words[0] ?? '').toUpperCase() + words.slice(1)
+}
