@@ -219,7 +219,8 @@ def _drop_flat(
     if not keep.any():
         raise AssetError(f"{path}: expected triangles of positive area, found none among {len(faces)}.")
     if not keep.all():
-        _LOGGER.warning("triangles without area left out", file=str(path), left_out=int((~keep).sum()), of=len(faces))
+        _LOGGER.warning(
+            "triangles without area left out", file=str(path), left_out=int((~keep).sum()), of=len(faces)
         )
     return (
         positions,
@@ -292,7 +293,8 @@ def _drop_unmapped(
     doubled, _ = _double_areas(uv, faces)
     keep = doubled > 0
     if not keep.all():
-        _LOGGER.warning("triangles without place in the atlas left out", file=str(path), left_out=int((~keep).sum()))
+        _LOGGER.warning(
+            "triangles without place in the atlas left out", file=str(path), left_out=int((~keep).sum())
         )
     return (
         positions,
