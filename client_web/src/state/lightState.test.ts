@@ -13,12 +13,18 @@ interface Val {
 function packet(sequence: number, vals: Val[], sh: number[] = []): LightInput {
   return {
     sequence,
-    valCount: vals.length,
-    position: new Float32Array(vals.flatMap((val) => val.position ?? [1, 2, 3])),
-    normal: new Float32Array(vals.flatMap((val) => val.normal ?? [0, -1, 0])),
-    radiantIntensity: new Float32Array(vals.flatMap((val) => val.intensity)),
-    area: new Float32Array(vals.map((val) => val.area ?? 0.04)),
-    generation: new Uint8Array(vals.map((val) => val.generation ?? 0)),
+    numVals: vals.length,
+    vals: new Float32Array(
+      vals.flatMap((val) => [
+        ...(val.position ?? [1, 2, 3]),
+        val.area ?? 0.04,
+        ...(val.normal ?? [0, -1, 0]),
+        0,
+        ...val.intensity,
+        ...[0, 0, 0, 0, 0],
+      ]),
+    ),
+    generations: new Uint8Array(vals.map((val) => val.generation ?? 0)),
     objectSh: new Float32Array(sh),
   }
 }

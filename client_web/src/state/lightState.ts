@@ -21,19 +21,13 @@ const FADING_OUT = -2
 /** Of a former session: shown unchanged until the next packet, then fading out. */
 const ORPHANED = -3
 
-/** A decoded light packet, as structure of arrays. Slots without light have zero radiant intensity. */
+/** The part of a decoded light packet that is shown. Slots without light have zero radiant intensity. */
 export interface LightInput {
   readonly sequence: number
-  readonly valCount: number
-  /** 3 per slot, world, metres. */
-  readonly position: Float32Array
-  /** 3 per slot, unit. */
-  readonly normal: Float32Array
-  /** 3 per slot, W/sr. */
-  readonly radiantIntensity: Float32Array
-  /** 1 per slot, square metres. */
-  readonly area: Float32Array
-  readonly generation: Uint8Array
+  readonly numVals: number
+  /** `FLOATS_PER_VAL` per slot. */
+  readonly vals: Float32Array
+  readonly generations: Uint8Array
   /** 27 per object: sh_coeffs (9, 3), world axes. */
   readonly objectSh: Float32Array
 }
@@ -115,8 +109,8 @@ export class LightState {
    * @throws RangeError when the packet has more slots than can be shown.
    */
   push(packet: LightInput, nowMs: number): boolean {
-    if (packet.valCount > MAX_SHOWN_VALS) {
-      throw new RangeError(`light packet: expected at most ${MAX_SHOWN_VALS} slots, found ${packet.valCount}`)
+    if (packet.numVals > MAX_SHOWN_VALS) {
+      throw new RangeError(`light packet: expected at most ${MAX_SHOWN_VALS} slots, found ${packet.numVals}`)
     }
     if (this.#sequence !== undefined && ((packet.sequence - this.#sequence) | 0) <= 0) {
       return false
@@ -226,12 +220,12 @@ export class LightState {
     }
     for (let slot = 0; slot < MAX_SHOWN_VALS; slot++) {
       const shown = at(this.#shownSlot, slot)
-      const lit = slot < packet.valCount && isLit(packet.radiantIntensity, 3 * slot)
+      const lit = slot < packet.numVals && isLit(packet.vals, slot * FLOATS_PER_VAL + INTENSITY)
       if (shown === FREE) {
         if (lit) {
           return true
         }
-      } else if (lit && packet.generation[slot] !== this.#generation[slot]) {
+      } else if (lit && packet.generations[slot] !== this.#generation[slot]) {
         return true
       } else if (!this.#equalsTarget(packet, slot, shown, lit)) {
         return true
@@ -245,16 +239,13 @@ export class LightState {
     if (!lit) {
       return !isLit(this.#to, base + INTENSITY)
     }
-    for (let axis = 0; axis < 3; axis++) {
-      if (
-        packet.position[3 * slot + axis] !== this.#to[base + axis] ||
-        packet.normal[3 * slot + axis] !== this.#to[base + NORMAL + axis] ||
-        packet.radiantIntensity[3 * slot + axis] !== this.#to[base + INTENSITY + axis]
-      ) {
+    const source = slot * FLOATS_PER_VAL
+    for (let i = 0; i < FLOATS_PER_VAL; i++) {
+      if (packet.vals[source + i] !== this.#to[base + i]) {
         return false
       }
     }
-    return packet.area[slot] === this.#to[base + AREA]
+    return true
   }
 
   /** Makes what is shown now the start of the next cross-fade. */
@@ -275,8 +266,8 @@ export class LightState {
   }
 
   #retarget(packet: LightInput, slot: number): void {
-    const lit = slot < packet.valCount && isLit(packet.radiantIntensity, 3 * slot)
-    const generation = slot < packet.valCount ? at(packet.generation, slot) : at(this.#generation, slot)
+    const lit = slot < packet.numVals && isLit(packet.vals, slot * FLOATS_PER_VAL + INTENSITY)
+    const generation = slot < packet.numVals ? at(packet.generations, slot) : at(this.#generation, slot)
     let shown = at(this.#shownSlot, slot)
     if (shown !== FREE && generation !== this.#generation[slot]) {
       shown = this.#handOver(shown, lit)
@@ -294,12 +285,10 @@ export class LightState {
       this.#to.fill(0, base + INTENSITY, base + INTENSITY + 3)
       return
     }
-    for (let axis = 0; axis < 3; axis++) {
-      this.#to[base + axis] = at(packet.position, 3 * slot + axis)
-      this.#to[base + NORMAL + axis] = at(packet.normal, 3 * slot + axis)
-      this.#to[base + INTENSITY + axis] = at(packet.radiantIntensity, 3 * slot + axis)
+    const source = slot * FLOATS_PER_VAL
+    for (let i = 0; i < FLOATS_PER_VAL; i++) {
+      this.#to[base + i] = at(packet.vals, source + i)
     }
-    this.#to[base + AREA] = at(packet.area, slot)
   }
 
   /** The packet slot belongs to another light from now on: returns the shown slot of the new one. */
