@@ -96,6 +96,20 @@ class GatherTable:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class UnseenFill:
+    """What to put where no camera looks: unseen texels may repeat a seen texel of the same connected surface.
+
+    Attributes:
+        texel: (M,) int32 positions (texel order) of all texels without pairs in the gather table.
+        source: (M,) int32 position of the nearest seen texel of the same surface, or -1 where the whole surface is unseen
+            (its radiance stays 0).
+    """
+
+    texel: NDArray[np.int32]
+    source: NDArray[np.int32]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class CameraModel:
     """A calibrated fish-eye camera: identifier, lens and pose."""
 

@@ -1,0 +1,142 @@
+"""Geometry artefacts on disk, so that a restarted process is ready at once.
+
+Each artefact is one `.npz`, named by a hash of everything it depends on; a change of model, atlas size, camera or format
+leads to another name. Files are written under a temporary name and renamed, so readers never see half a file.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import tempfile
+import zipfile
+from collections.abc import Callable
+from dataclasses import fields
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+import structlog
+
+from nearfield_server.geometry.gather_table import build_gather_table, find_unseen_fill
+from nearfield_server.geometry.texels import rasterise_texels
+from nearfield_server.records import GatherTable, RoomMesh, TexelGeometry, UnseenFill
+from nearfield_server.scene.room_config import RoomConfig
+from nearfield_server.scene.room_model import load_room_mesh
+
+_LOGGER = structlog.get_logger(__name__)
+# Raised whenever the meaning or the making of an artefact changes.
+_FORMAT = "1"
+Progress = Callable[[str, float], None]
+Geometry = tuple[RoomMesh, TexelGeometry, GatherTable, UnseenFill]
+_Record = TypeVar("_Record", RoomMesh, TexelGeometry, GatherTable, UnseenFill)
+
+
+def default_cache_dir() -> Path:
+    """`$NEARFIELD_CACHE_DIR`, else `$XDG_CACHE_HOME/nearfield`, else `~/.cache/nearfield`."""
+    chosen = os.environ.get("NEARFIELD_CACHE_DIR")
+    if chosen:
+        return Path(chosen)
+    base = os.environ.get("XDG_CACHE_HOME")
+    return (Path(base) if base else Path.home() / ".cache") / "nearfield"
+
+
+def load_or_build(
+    room: RoomConfig,
+    *,
+    cache_dir: Path | None = None,
+    progress: Progress | None = None,
+    rasteriser: str = "cpu",
+) -> Geometry:
+    """Mesh, texels, gather table and fill list of a room, from the cache where it holds them.
+
+    Args:
+        room: room configuration.
+        cache_dir: folder of the cache, `default_cache_dir()` when None. A folder that cannot be written only costs time.
+        progress: called with a text and the share of work done in [0, 1].
+        rasteriser: see `geometry.texels.rasterise_texels`; part of the cache key.
+
+    Raises:
+        AssetError: the room model is broken.
+        ConfigError: there is no camera.
+        GraphicsError: OpenGL was asked for and is not there.
+    """
+    folder = cache_dir if cache_dir is not None else default_cache_dir()
+    report = progress if progress is not None else _ignore
+    report("room model", 0.0)
+    key = hashlib.sha256(f"{_FORMAT} {room.atlas_size} {rasteriser}".encode() + room.model_path.read_bytes())
+    mesh_file = folder / f"mesh-{key.hexdigest()[:32]}.npz"
+    texel_file = folder / f"texels-{key.hexdigest()[:32]}.npz"
+    for camera in room.cameras:
+        key.update(
+            repr(camera.intrinsics).encode() + np.ascontiguousarray(camera.world_from_camera).tobytes()
+        )
+    table_file = folder / f"gather-{key.hexdigest()[:32]}.npz"
+    fill_file = folder / f"fill-{key.hexdigest()[:32]}.npz"
+
+    mesh = _load(mesh_file, RoomMesh) or _save(mesh_file, load_room_mesh(room.model_path, room.atlas_size))
+    report("texels", 0.1)
+    texels = _load(texel_file, TexelGeometry)
+    if texels is None:
+        texels = _save(texel_file, rasterise_texels(mesh, room.atlas_size, rasteriser=_checked(rasteriser)))
+    table, fill = _load(table_file, GatherTable), _load(fill_file, UnseenFill)
+    if table is None or fill is None:
+        table = build_gather_table(
+            mesh, texels, room.cameras, progress=lambda text, part: report(text, 0.2 + 0.75 * part)
+        )
+        fill = find_unseen_fill(mesh, texels, table)
+        _save(table_file, table)
+        _save(fill_file, fill)
+    report("geometry is ready", 1.0)
+    return mesh, texels, table, fill
+
+
+def _ignore(text: str, part: float) -> None:
+    """Report nothing."""
+
+
+def _checked(rasteriser: str) -> Any:
+    if rasteriser not in ("auto", "gl", "cpu"):
+        raise ValueError(f"rasteriser: expected 'auto', 'gl' or 'cpu', found {rasteriser!r}")
+    return rasteriser
+
+
+def _save(path: Path, record: _Record) -> _Record:
+    """Write a record; failure is logged and costs only the next start."""
+    arrays: dict[str, Any] = {field.name: np.asarray(getattr(record, field.name)) for field in fields(record)}
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".tmp", delete=False) as stream:
+            try:
+                np.savez(stream, **arrays)
+            except BaseException:
+                os.unlink(stream.name)
+                raise
+        os.replace(stream.name, path)
+    except OSError as error:
+        _LOGGER.warning("geometry cache not written", file=str(path), reason=str(error))
+    return record
+
+
+def _load(path: Path, record_type: type[_Record]) -> _Record | None:
+    """Read a record, or None when it is not there or broken (it is then built again)."""
+    try:
+        with np.load(path, allow_pickle=False) as stored:
+            values: dict[str, Any] = {field.name: stored[field.name] for field in fields(record_type)}
+    except FileNotFoundError:
+        return None
+    except (OSError, KeyError, ValueError, EOFError, zipfile.BadZipFile) as error:
+        _LOGGER.warning(
+            "geometry cache entry is broken and is built again", file=str(path), reason=str(error)
+        )
+        return None
+    for name, value in values.items():
+        if value.ndim == 0:
+            values[name] = value.item()
+    if record_type is RoomMesh:
+        values["materials"] = tuple(str(name) for name in values["materials"])
+    if record_type is GatherTable:
+        values["camera_shapes"] = tuple(
+            (int(height), int(width)) for height, width in values["camera_shapes"]
+        )
+    return record_type(**values)
