@@ -10,9 +10,7 @@
 export const FLOATS_PER_VAL = 16
 /** Most lights on the screen, fading ones included: the renderer keeps one shadow tile for each. */
 export const MAX_SHOWN_VALS = 64
-export const SH_FLOATS_PER_OBJECT = 27
 
-const AREA = 3
 const NORMAL = 4
 const INTENSITY = 8
 
