@@ -103,3 +103,8 @@ def parse_object(payload: bytes, key: str) -> dict[str, Any]:
     if not isinstance(message, dict):
         raise BusError(f"{key}: {type(message).__name__}, expected a JSON object")
     return message
+
+
+def room_revision(content_hash: str) -> int:
+    """Return the number that light packets and the scene description share: the first 32 bits of `RoomMesh.content_hash`."""
+    return int(content_hash[:8], 16)

@@ -89,14 +89,14 @@ def configure_logging(process: str) -> None:
     structlog.contextvars.bind_contextvars(process=process)
 
 
-def die_with_parent(parent_pid: int) -> None:
-    """Ask the kernel for SIGKILL when the parent dies, however it dies.
+def die_with_parent(parent_pid: int, death_signal: signal.Signals = signal.SIGKILL) -> None:
+    """Ask the kernel for a signal to this process when the parent dies, however it dies.
 
     Raises:
         ServiceError: the parent is gone already.
     """
     # Set in the child itself: `preexec_fn` is not safe in a process that has threads.
-    ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
+    ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, int(death_signal), 0, 0, 0)
     if os.getppid() != parent_pid:
         raise ServiceError(f"process {os.getpid()}: the parent {parent_pid} is gone")
 
@@ -176,8 +176,8 @@ class Worker:
     def _take_control(self, payload: bytes) -> None:
         state = ControlState.from_json(payload)
         with self._lock:
-            # The supervisor repeats the state every second for those who missed it.
-            if self._control is not None and state.revision == self._control.revision:
+            # The supervisor repeats the state for those who missed it.
+            if self._control is not None and state.revision <= self._control.revision:
                 return
             self._control = state
         self._control_changed.set()

@@ -1,0 +1,171 @@
+"""The capture process: one camera, one ring. Started by the supervisor as `python -m nearfield_server.capture.process`."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nearfield_server.bus.backoff import Backoff
+from nearfield_server.bus.worker import Worker, run_worker
+from nearfield_server.capture.cameras import image_circle, make_source
+from nearfield_server.capture.frame_ring import COUNTER_NAMES, FrameRingWriter, FrameSignal, RingShape
+from nearfield_server.capture.ingest import ingest_frame
+from nearfield_server.capture.source import RawFrame, Source
+from nearfield_server.errors import AssetError, CaptureError
+from nearfield_server.scene.room_config import load_room
+
+_RATE_WINDOW_S = 2.0
+
+
+@dataclass(slots=True)
+class CaptureStatistics:
+    """Numbers for the status page."""
+
+    frames: int = 0
+    frame_rate: float = 0.0
+    counters: Counter[str] = field(default_factory=Counter)
+    _window_start_s: float = 0.0
+    _window_frames: int = 0
+
+    def count(self, now_s: float, counters: dict[str, int]) -> None:
+        """Add one frame."""
+        self.frames += 1
+        self.counters.update({name: value for name, value in counters.items() if value})
+        self._window_frames += 1
+        self.roll(now_s)
+
+    def roll(self, now_s: float) -> None:
+        """Renew the frame rate every two seconds, also when no frames come."""
+        if now_s - self._window_start_s >= _RATE_WINDOW_S:
+            self.frame_rate = self._window_frames / (now_s - self._window_start_s)
+            self._window_start_s, self._window_frames = now_s, 0
+
+
+class FramePump:
+    """Moves frames from a source into a ring: ingest, write, wake the reader; an unchanged picture is only confirmed."""
+
+    def __init__(
+        self, source: Source, ring: FrameRingWriter, signal: FrameSignal, circle: NDArray[np.bool_] | None
+    ) -> None:
+        self.source, self.ring, self.signal, self.circle = source, ring, signal, circle
+        self.statistics = CaptureStatistics()
+        self._revision: int | None = None
+        self._ring_revision = 0
+
+    def reopened(self) -> None:
+        """Forget the revision of the source: a reopened source may count from the beginning."""
+        self._revision = None
+
+    def step(self, now_ns: int) -> bool:
+        """Take the frame of this period, if there is one; true if the source delivered.
+
+        Raises:
+            CaptureError, AssetError: from the source.
+        """
+        frame = self.source.next_frame(now_ns)
+        now_s = now_ns * 1e-9
+        if frame is None:
+            self.statistics.roll(now_s)
+            return False
+        if frame.content_revision == self._revision:
+            self.ring.confirm(now_ns)
+            self.statistics.count(now_s, {})
+            return True
+        counters = self._write(frame)
+        self._revision = frame.content_revision
+        self.signal.notify()
+        self.statistics.count(now_s, counters)
+        return True
+
+    def _write(self, frame: RawFrame) -> dict[str, int]:
+        self._ring_revision += 1
+        with self.ring.write(self._ring_revision, frame.timestamp_ns) as (pixels, slot_counters):
+            counters = {**frame.counters, **ingest_frame(frame.pixels, pixels, self.circle)}
+            slot_counters[...] = [counters.get(name, 0) for name in COUNTER_NAMES]
+        return counters
+
+
+def capture_loop(
+    worker: Worker, pump: FramePump, frame_rate: float, describe: Callable[[], dict[str, Any]]
+) -> None:
+    """Run one camera until the worker is told to stop; a failing source is reopened with back-off for ever."""
+    backoff = Backoff()
+    is_open = False
+    retry_at, healthy_since = 0.0, 0.0
+    period_s = 1.0 / frame_rate
+    next_s = time.monotonic()
+    fault = ""
+    while not worker.stop.is_set():
+        now_s = time.monotonic()
+        try:
+            if not is_open and now_s >= retry_at:
+                pump.source.open()
+                pump.reopened()
+                is_open, healthy_since = True, now_s
+            if is_open:
+                state = worker.control
+                if state is not None:
+                    pump.source.set_light_weights(state.light_weights)
+                delivered = pump.step(time.monotonic_ns())
+                fault = "" if delivered else fault
+                if now_s - healthy_since > 10.0:
+                    backoff.reset()
+        except (CaptureError, AssetError) as error:
+            fault, is_open = str(error), False
+            pump.source.close()
+            delay_s = backoff.next_delay()
+            retry_at = time.monotonic() + delay_s
+            worker.log.warning("camera failed", reason=fault, retry_in_s=round(delay_s, 1))
+        worker.beat(**_status(pump, describe, is_open, fault))
+        # A late camera skips periods; it never hurries after them.
+        next_s = max(next_s + period_s, time.monotonic())
+        worker.stop.wait(max(0.0, next_s - time.monotonic()))
+    pump.source.close()
+
+
+def _status(
+    pump: FramePump, describe: Callable[[], dict[str, Any]], is_open: bool, fault: str
+) -> dict[str, Any]:
+    statistics = pump.statistics
+    return {
+        **describe(),
+        "connected": is_open,
+        "fault": fault,
+        "frames": statistics.frames,
+        "frame_rate": round(statistics.frame_rate, 2),
+        "generation": pump.ring.generation,
+        "counters": dict(statistics.counters),
+    }
+
+
+def main(worker: Worker) -> None:
+    """Open the ring and the camera that the specification names, and run."""
+    camera_index = int(worker.spec.options["camera_index"])
+    room = load_room(worker.spec.room_path)
+    camera = room.cameras[camera_index]
+    shape = RingShape(camera.intrinsics.height, camera.intrinsics.width)
+    source = make_source(room, camera_index, worker.spec.options)
+    with_circle = image_circle(camera.intrinsics)
+    ring = FrameRingWriter(worker.spec.ring_fds[camera_index], camera.camera_id, shape)
+    pump = FramePump(source, ring, FrameSignal(worker.spec.signal_fd), with_circle)
+    worker.wait_for_control(20.0)
+    frame_rate = float(worker.spec.options.get("frame_rate") or room.frame_rate)
+
+    def describe() -> dict[str, Any]:
+        return {"camera_index": camera_index, "camera_id": camera.camera_id, "source": source.describe()}
+
+    try:
+        capture_loop(worker, pump, frame_rate, describe)
+    finally:
+        ring.close()
+
+
+if __name__ == "__main__":
+    sys.exit(run_worker(main))

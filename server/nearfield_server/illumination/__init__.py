@@ -1,0 +1,1 @@
+"""The illumination process: frame rings in, light packets and atlas tiles out."""

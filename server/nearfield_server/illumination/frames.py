@@ -1,0 +1,96 @@
+"""The newest frame of every camera, straight from shared memory."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from nearfield_server.capture.frame_ring import FrameRingReader, FrameView
+from nearfield_server.records import CameraFrame
+
+STALE_AFTER_S = 1.0
+_COPY_ROUNDS = 100
+# Above every revision that a ring hands out (writer generation << 40): marks pictures that must not be taken for their originals.
+_RETRY_REVISION = 1 << 62
+
+
+@dataclass(slots=True)
+class FrameCollector:
+    """Takes the newest whole frame of each ring without copying, and tells afterwards whether they stayed whole.
+
+    When the pipeline was too slow and a camera overwrote a frame in use, frames are copied for a while instead.
+    """
+
+    readers: Sequence[FrameRingReader]
+    torn: int = 0
+    _views: list[FrameView | None] = field(default_factory=list)
+    _copy_rounds: int = 0
+    _retries: itertools.count[int] = field(default_factory=lambda: itertools.count(_RETRY_REVISION))
+
+    def collect(self) -> list[CameraFrame | None]:
+        """Return the newest frame per camera, or None where a camera has not delivered any yet."""
+        if self._copy_rounds > 0:
+            self._copy_rounds -= 1
+            self._views = []
+            return [reader.newest_copy(index) for index, reader in enumerate(self.readers)]
+        self._views = [reader.newest() for reader in self.readers]
+        return [
+            None
+            if view is None
+            else CameraFrame(
+                camera_index=index,
+                sequence=view.sequence,
+                content_revision=view.content_revision,
+                timestamp_ns=view.timestamp_ns,
+                pixels=view.pixels,
+            )
+            for index, view in enumerate(self._views)
+        ]
+
+    def stayed_whole(self) -> bool:
+        """Whether no frame of the last `collect` was overwritten since; if one was, the next rounds copy."""
+        whole = all(view is None or view.still_valid() for view in self._views)
+        if not whole:
+            self.torn += 1
+            self._copy_rounds = _COPY_ROUNDS
+        return whole
+
+    def recollect(self) -> list[CameraFrame | None]:
+        """Return copies under revisions never used before: what was derived from torn pictures is made again."""
+        frames = [reader.newest_copy(index) for index, reader in enumerate(self.readers)]
+        self._views = []
+        return [
+            None
+            if frame is None
+            else CameraFrame(
+                camera_index=frame.camera_index,
+                sequence=frame.sequence,
+                content_revision=next(self._retries),
+                timestamp_ns=frame.timestamp_ns,
+                pixels=frame.pixels,
+            )
+            for frame in frames
+        ]
+
+
+def camera_report(
+    readers: Sequence[FrameRingReader], camera_ids: Sequence[str], now_ns: int
+) -> list[dict[str, Any]]:
+    """Return age and staleness per camera, for the status message; a camera that never delivered has age null and is stale."""
+    report = []
+    for reader, camera_id in zip(readers, camera_ids, strict=True):
+        confirmed_ns = reader.confirmed_ns
+        age_s = (now_ns - confirmed_ns) * 1e-9 if confirmed_ns else np.inf
+        report.append(
+            {
+                "camera_id": camera_id,
+                "age_s": round(max(age_s, 0.0), 4) if np.isfinite(age_s) else None,
+                "stale": bool(age_s > STALE_AFTER_S),
+                "generation": reader.generation,
+            }
+        )
+    return report

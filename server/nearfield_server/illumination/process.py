@@ -1,0 +1,228 @@
+"""The illumination process: `python -m nearfield_server.illumination.process`, started by the supervisor.
+
+Newest frames in, light packets out. It waits for the eventfd "frame ready" and for changes of the control state, never for a camera.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nearfield_protocol.codec import encode_atlas_tiles
+from nearfield_server.bus.keys import LIGHT_ATLAS, LIGHT_PACKET
+from nearfield_server.bus.messages import ControlState, room_revision
+from nearfield_server.bus.worker import Worker, run_worker
+from nearfield_server.capture.frame_ring import FrameRingReader, FrameSignal, RingShape
+from nearfield_server.geometry.cache import load_or_build
+from nearfield_server.geometry.probes import ProbeRays
+from nearfield_server.illumination.atlas_channel import AtlasChannel, build_downsampler
+from nearfield_server.illumination.frames import FrameCollector, camera_report
+from nearfield_server.illumination.packet import PacketWriter
+from nearfield_server.pipeline.runner import LightPipeline
+from nearfield_server.records import LightUpdate, ObjectPose, RoomMesh, TexelGeometry, UnseenFill
+from nearfield_server.scene.model_source import load_source_model
+from nearfield_server.scene.room_config import RoomConfig, load_room
+
+REPEAT_PERIOD_S = 1.0
+ATLAS_PERIOD_S = 0.1
+_WAIT_S = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class _Fill:
+    """Unseen texels that have a seen neighbour, under the names of `pipeline.runner.UnseenFillLike`."""
+
+    texels: NDArray[np.int32]
+    source: NDArray[np.int32]
+
+
+def usable_fill(fill: UnseenFill) -> _Fill:
+    """Leave out the texels of surfaces that no camera sees at all: they stay black."""
+    usable = fill.source >= 0
+    return _Fill(texels=fill.texel[usable], source=fill.source[usable])
+
+
+@dataclass(frozen=True, slots=True)
+class ObjectBounds:
+    """Bounding sphere of an object in its own axes: centre (3,) float64, radius in metres."""
+
+    centre: NDArray[np.float64]
+    radius: float
+
+
+def object_bounds(positions: NDArray[np.floating[Any]]) -> ObjectBounds:
+    """Return the sphere around the centre of the bounding box of (V, 3) positions, as prepared models have it."""
+    points = np.asarray(positions, np.float64)
+    centre = 0.5 * (points.min(axis=0) + points.max(axis=0))
+    return ObjectBounds(centre, float(np.linalg.norm(points - centre, axis=1).max()))
+
+
+def object_poses(state: ControlState, bounds: list[ObjectBounds]) -> list[ObjectPose]:
+    """Return the poses of the control state as the pipeline takes them."""
+    return [
+        ObjectPose(
+            object_index=index,
+            revision=placement.revision,
+            world_from_object=placement.world_from_object,
+            centre_object=sphere.centre,
+            radius=sphere.radius,
+        )
+        for index, (placement, sphere) in enumerate(zip(state.objects, bounds, strict=True))
+    ]
+
+
+class Illumination:
+    """Frames to packets; one `step` per wake-up."""
+
+    def __init__(
+        self,
+        worker: Worker,
+        pipeline: LightPipeline,
+        collector: FrameCollector,
+        writer: PacketWriter,
+        atlas: AtlasChannel,
+        bounds: list[ObjectBounds],
+    ) -> None:
+        self._worker, self._pipeline, self._collector = worker, pipeline, collector
+        self._writer, self._atlas, self._bounds = writer, atlas, bounds
+        self._published_revision = 0
+        self._published_poses: list[int] = []
+        self._published_s = 0.0
+        self._packet = b""
+        self._updates = 0
+        self._last_run: LightUpdate | None = None
+        self._atlas_s = 0.0
+        self._atlas_wanted = False
+        worker.bus.answer(LIGHT_PACKET, lambda: self._packet)
+
+    def step(self, state: ControlState, now_s: float) -> None:
+        """Bring the light up to date and publish what changed.
+
+        The newest packet is also repeated once per second: a gateway that has just started has heard none.
+        """
+        poses = object_poses(state, self._bounds)
+        frames = self._collector.collect()
+        if all(frame is None for frame in frames):
+            return
+        update = self._pipeline.update(frames, poses)
+        if not self._collector.stayed_whole():
+            update = self._pipeline.update(self._collector.recollect(), poses)
+        if any(stage.ran for stage in update.stages):
+            self._updates += 1
+            self._last_run = update
+        revisions = [pose.revision for pose in poses]
+        # A moved object may have the same SH as before, but clients wait for the revision of its pose.
+        if update.revision != self._published_revision or revisions != self._published_poses:
+            self._packet = self._writer.write(update, poses)
+            self._published_revision, self._published_poses = update.revision, revisions
+            self._put_packet(now_s)
+        elif now_s - self._published_s >= REPEAT_PERIOD_S:
+            self._put_packet(now_s)
+        self._step_atlas(state.atlas_wanted, update.timestamp_ns, now_s)
+
+    def _put_packet(self, now_s: float) -> None:
+        self._worker.bus.put(LIGHT_PACKET, self._packet)
+        self._published_s = now_s
+
+    def _step_atlas(self, wanted: bool, timestamp_ns: int, now_s: float) -> None:
+        if wanted and not self._atlas_wanted:
+            self._atlas.restart()
+        self._atlas_wanted = wanted
+        if wanted and now_s - self._atlas_s >= ATLAS_PERIOD_S:
+            self._atlas_s = now_s
+            tiles = self._atlas.changes(self._pipeline.texel_radiance, timestamp_ns)
+            if tiles is not None:
+                self._worker.bus.put(LIGHT_ATLAS, encode_atlas_tiles(tiles), must_arrive=True)
+
+    def status(self, camera_ids: list[str]) -> dict[str, Any]:
+        """Return the fields of the status message."""
+        now_ns = time.monotonic_ns()
+        cameras = camera_report(self._collector.readers, camera_ids, now_ns)
+        ages = [camera["age_s"] for camera in cameras if camera["age_s"] is not None]
+        status: dict[str, Any] = {
+            "backend": self._pipeline.backend_name,
+            "cameras": cameras,
+            "light_age_s": max(ages, default=None),
+            "stale": any(camera["stale"] for camera in cameras),
+            "sequence": self._writer.sequence,
+            "revision": self._published_revision,
+            "updates": self._updates,
+            "torn_frames": self._collector.torn,
+            "atlas_wanted": self._atlas_wanted,
+        }
+        if self._last_run is not None:
+            status["stages"] = [
+                {
+                    "name": s.name,
+                    "ran": s.ran,
+                    "reason": s.reason,
+                    "wall_ms": round(s.wall_ms, 3),
+                    "cpu_ms": round(s.cpu_ms, 3),
+                }
+                for s in self._last_run.stages
+            ]
+            status["counters"] = self._last_run.counters
+            status["threshold"] = [float(value) for value in self._last_run.threshold]
+        return status
+
+
+def build_pipeline(
+    room: RoomConfig, options: dict[str, Any], worker: Worker
+) -> tuple[LightPipeline, RoomMesh, TexelGeometry]:
+    """Load the geometry of the room and set the pipeline up, with beats in between.
+
+    Raises:
+        AssetError, ConfigError, GraphicsError: room model, settings or backend are unusable.
+    """
+    mesh, texels, table, fill = load_or_build(
+        room, progress=lambda text, part: worker.beat("starting", preparing=text, prepared=round(part, 3))
+    )
+    changes = {name: options[name] for name in ("num_vals", "split_ratio") if options.get(name) is not None}
+    pipeline = LightPipeline(
+        mesh,
+        texels,
+        table,
+        replace(room.light, **changes),
+        probe_rays=ProbeRays(mesh, texels),
+        backend=options.get("backend", "auto"),
+        unseen_fill=usable_fill(fill),
+    )
+    return pipeline, mesh, texels
+
+
+def main(worker: Worker) -> None:
+    """Open the rings, prepare the room, and run until told to stop."""
+    room = load_room(worker.spec.room_path)
+    readers = [
+        FrameRingReader(fd, camera.camera_id, RingShape(camera.intrinsics.height, camera.intrinsics.width))
+        for fd, camera in zip(worker.spec.ring_fds, room.cameras, strict=True)
+    ]
+    pipeline, mesh, texels = build_pipeline(room, worker.spec.options, worker)
+    illumination = Illumination(
+        worker,
+        pipeline,
+        FrameCollector(readers),
+        # Milliseconds since boot: above everything that an earlier process of this room can have sent.
+        PacketWriter.for_room(mesh, time.monotonic_ns() // 1_000_000),
+        AtlasChannel(build_downsampler(texels), room_revision(mesh.content_hash)),
+        [object_bounds(load_source_model(item.model_path).positions) for item in room.objects],
+    )
+    worker.wait_for_control(20.0)
+    signal = FrameSignal(worker.spec.signal_fd)
+    worker.on_control(signal.notify)
+    camera_ids = [camera.camera_id for camera in room.cameras]
+    while not worker.stop.is_set():
+        state = worker.control
+        assert state is not None
+        illumination.step(state, time.monotonic())
+        worker.beat(preparing="", **illumination.status(camera_ids))
+        signal.wait(_WAIT_S)
+
+
+if __name__ == "__main__":
+    sys.exit(run_worker(main))

@@ -1,0 +1,241 @@
+"""The supervisor: owns rings and control state, starts the processes, keeps them alive, and ends them together."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import signal
+import socket
+import threading
+import time
+from typing import Any
+
+import structlog
+
+from nearfield_protocol.codec import decode_client_message
+from nearfield_protocol.errors import ProtocolError
+from nearfield_server.bus.keys import CONTROL_REQUEST, CONTROL_STATE, STATUS, status_key
+from nearfield_server.bus.messages import parse_object
+from nearfield_server.bus.session import Bus
+from nearfield_server.bus.worker import WorkerSpec
+from nearfield_server.capture.frame_ring import FrameSignal, RingShape, create_ring
+from nearfield_server.errors import BusError, ServiceError
+from nearfield_server.scene.room_config import RoomConfig
+from nearfield_server.supervisor.child import Child
+from nearfield_server.supervisor.control import apply_request, initial_state, want_atlas
+from nearfield_server.supervisor.notify import notify_systemd
+from nearfield_server.supervisor.settings import ServiceSettings
+
+PROCESS_NAME = "supervisor"
+_TICK_S = 0.05
+_PUBLISH_PERIOD_S = 0.5
+_STOP_LIMIT_S = 2.0
+
+_log = structlog.get_logger("nearfield.supervisor")
+
+
+def listening_socket(host: str, port: int) -> socket.socket:
+    """Bind the port of the page. The supervisor holds it, so that a restarted gateway finds it again and clients only wait.
+
+    Raises:
+        ServiceError: the port is in use, forbidden, or the address is not of this machine.
+    """
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    listener = socket.socket(family, socket.SOCK_STREAM | socket.SOCK_CLOEXEC)
+    try:
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listener.bind((host, port))
+        listener.listen(128)
+    except OSError as error:
+        listener.close()
+        raise ServiceError(
+            f"cannot serve on {host} port {port}: {error.strerror}. Stop the other program, or choose another port with --port"
+        ) from error
+    return listener
+
+
+class Supervisor:
+    """One running service. Use it from the main thread: `start()`, `run()` until `stop` is set, `close()`."""
+
+    def __init__(self, settings: ServiceSettings, room: RoomConfig) -> None:
+        """Acquire port, shared memory and bus; nothing is started yet.
+
+        Raises:
+            ServiceError, FrameRingError, BusError: something cannot be had; what was acquired is released again.
+        """
+        self.settings, self.room = settings, room
+        self.stop = threading.Event()
+        self.children: list[Child] = []
+        self._lock = threading.Lock()
+        self._state = initial_state(room)
+        self._started_s = time.monotonic()
+        self._published_s = 0.0
+        self._ready = False
+        with contextlib.ExitStack() as undo:
+            self._listener = undo.enter_context(listening_socket(settings.host, settings.port))
+            self._signal_fd = FrameSignal.create()
+            undo.callback(os.close, self._signal_fd)
+            self._ring_fds: list[int] = []
+            for camera in room.cameras:
+                shape = RingShape(camera.intrinsics.height, camera.intrinsics.width)
+                self._ring_fds.append(create_ring(f"cam{len(self._ring_fds)}", shape))
+                undo.callback(os.close, self._ring_fds[-1])
+            self.bus = undo.enter_context(Bus(room.name, listen_port=settings.bus_port))
+            self._resources = undo.pop_all()
+
+    @property
+    def port(self) -> int:
+        """TCP port of the page."""
+        port: int = self._listener.getsockname()[1]
+        return port
+
+    def start(self) -> None:
+        """Start all processes.
+
+        Raises:
+            ServiceError: the system refuses a process.
+        """
+        self.bus.answer(CONTROL_STATE, lambda: self._state.to_json())
+        self.bus.subscribe(CONTROL_REQUEST, lambda _, payload: self._request(payload))
+        self.bus.subscribe(f"{STATUS}/*", self._take_status)
+        self.bus.watch_alive(self._take_token)
+        self.children = self._make_children()
+        for child in self.children:
+            child.start(time.monotonic())
+
+    def run(self) -> None:
+        """Watch until `stop` is set."""
+        while not self.stop.wait(_TICK_S):
+            now_s = time.monotonic()
+            with self._lock:
+                for child in self.children:
+                    child.watch(now_s)
+                all_running = all(
+                    child.pid is not None and child.health.is_running(now_s) for child in self.children
+                )
+            if now_s - self._published_s >= _PUBLISH_PERIOD_S:
+                self._published_s = now_s
+                self._publish(now_s)
+                if all_running:
+                    notify_systemd("READY=1" if not self._ready else "WATCHDOG=1")
+            if all_running and not self._ready:
+                self._ready = True
+                _log.info("service ready", seconds=round(now_s - self._started_s, 2), port=self.port)
+
+    def close(self) -> None:
+        """End all processes within two seconds, then give everything back."""
+        notify_systemd("STOPPING=1")
+        for child in self.children:
+            child.terminate()
+        end_s = time.monotonic() + _STOP_LIMIT_S
+        for child in self.children:
+            child.finish(end_s - time.monotonic())
+        self._resources.close()
+
+    def _make_children(self) -> list[Child]:
+        rings = tuple(self._ring_fds)
+        settings = self.settings
+        children = []
+        for index in range(len(self.room.cameras)):
+            options = {
+                "camera_index": index,
+                "frame_rate": settings.frame_rate,
+                "timeline": settings.timeline,
+                "sensor": settings.sensor,
+            }
+            # A capture process inherits its own ring alone; the other descriptors are only numbers to it.
+            fds = (rings[index], self._signal_fd)
+            children.append(
+                Child(self._spec(f"cam{index}", options), "nearfield_server.capture.process", fds)
+            )
+        light = {
+            "num_vals": settings.num_vals,
+            "split_ratio": settings.split_ratio,
+            "backend": settings.backend,
+        }
+        children.append(
+            Child(
+                self._spec("illumination", light),
+                "nearfield_server.illumination.process",
+                (*rings, self._signal_fd),
+            )
+        )
+        gateway = {
+            **settings.gateway,
+            "host": settings.host,
+            "port": self.port,
+            "listen_fd": self._listener.fileno(),
+            "num_vals": settings.num_vals,
+        }
+        children.append(
+            Child(
+                self._spec("gateway", gateway), "nearfield_server.gateway.process", (self._listener.fileno(),)
+            )
+        )
+        return children
+
+    def _spec(self, process: str, options: dict[str, Any]) -> WorkerSpec:
+        return WorkerSpec(
+            process=process,
+            room_path=self.settings.room_path,
+            room_name=self.room.name,
+            bus_port=self.settings.bus_port,
+            supervisor_pid=os.getpid(),
+            ring_fds=tuple(self._ring_fds),
+            signal_fd=self._signal_fd,
+            options=options,
+        )
+
+    def _request(self, payload: bytes) -> None:
+        try:
+            message = decode_client_message(payload)
+            with self._lock:
+                state = apply_request(self._state, message)
+                changed = state is not self._state
+                self._state = state
+        except (ProtocolError, BusError) as error:
+            _log.warning("control request refused", reason=str(error))
+            return
+        if changed:
+            self.bus.put(CONTROL_STATE, state.to_json(), must_arrive=True)
+
+    def _take_status(self, _key: str, payload: bytes) -> None:
+        status = parse_object(payload, STATUS)
+        with self._lock:
+            for child in self.children:
+                # Messages of a process that died may still be under way.
+                if child.name == status.get("process") and child.pid == status.get("pid"):
+                    child.status = status
+                    child.health.status(
+                        time.monotonic(), str(status.get("phase")), float(status.get("beat_age_s", 0.0))
+                    )
+                    if child.name == "gateway" and "atlas_wanted" in status:
+                        self._state = want_atlas(self._state, bool(status["atlas_wanted"]))
+
+    def _take_token(self, process: str, is_alive: bool) -> None:
+        with self._lock:
+            for child in self.children:
+                if child.name == process:
+                    child.health.token(is_alive)
+
+    def _publish(self, now_s: float) -> None:
+        status = {
+            "process": PROCESS_NAME,
+            "pid": os.getpid(),
+            "phase": "running" if self._ready else "starting",
+            "uptime_s": round(now_s - self._started_s, 3),
+            "children": {
+                child.name: {**child.report(), "fault": child.health.fault(now_s)} for child in self.children
+            },
+        }
+        with contextlib.suppress(BusError):
+            self.bus.put(status_key(PROCESS_NAME), json.dumps(status).encode())
+            # Repeated for those who missed it: a process that has just connected hears only what comes afterwards.
+            self.bus.put(CONTROL_STATE, self._state.to_json())
+
+
+def stop_on_signals(supervisor: Supervisor) -> None:
+    """Make SIGTERM and SIGINT end the service cleanly."""
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda *_: supervisor.stop.set())
