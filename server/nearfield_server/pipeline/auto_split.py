@@ -2,73 +2,168 @@
 
 Differs from the paper: Rohmer et al. 2014 fix the share of direct light (75 to 98 %). Emitters hold anything from a few to
 over eighty per cent of the light of a room, and every ordinary lit surface that is pressed into a few VALs costs accuracy.
-Here the threshold separates two populations in the histogram of log radiance, weighted by L dA (Otsu 1979).
+Here the threshold is put into a gap of the histogram of log radiance, weighted by L dA: the lowest gap above which only
+sources lie. Sources are told by three properties of the texels above the gap: they are much brighter than the rest, they
+cover little of the room (a source that covers much of it is low-frequency light, which the SH carry well), and hardly any
+energy lies within the gap, because reflecting surfaces shade smoothly into each other. Otsu's criterion (1979), which
+takes the best single cut, loses the weaker of two sources of different radiance, and splits a room without any source.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-_KEEP_SCORE: Final = 0.97
-"""A previous threshold stays in use while its score is at least this share of the best one."""
-_MIN_CONTRAST: Final = 2.0
-"""Sources shine at least this many times brighter than the light that they are told from (geometric means)."""
+_LEVELS_PER_OCTAVE: Final = 16
+_GROUP: Final = 8
+"""Histogram bins per level: 128 per octave become 16."""
+_GAP: Final = 5
+"""Half width of a gap in levels: a factor 1.24 to either side."""
 
 
-def bin_edges(bins: NDArray[np.integer]) -> NDArray[np.float64]:
-    """Lower edge of histogram bins, radiance."""
-    return (bins.astype(np.uint32) << np.uint32(16)).view(np.float32).astype(np.float64)
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Limits:
+    """What a cut must satisfy.
+
+    Attributes:
+        min_share: least share of the energy that a class of sources holds.
+        max_gap: largest energy within the gap, relative to the smaller neighbour.
+        max_area: largest share of the room's area that all sources together cover.
+        min_contrast: least ratio of the mean radiance of all sources to that of the rest.
+    """
+
+    min_share: float
+    max_gap: float
+    max_area: float
+    min_contrast: float
+
+
+_STRICT: Final = _Limits(min_share=0.01, max_gap=0.1, max_area=0.15, min_contrast=3.0)
+# A threshold in use is judged more kindly, so that noise moves nothing.
+_KIND: Final = _Limits(min_share=0.005, max_gap=0.2, max_area=0.18, min_contrast=2.5)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Levels:
+    """Histogram of one channel on 16 levels per octave, padded so that gaps at its ends exist.
+
+    Cut i puts levels i and above on the direct side.
+
+    Attributes:
+        radiance: (n,) lower edge of each level.
+        energy_above: (n,) share of sum L dA at and above each level. area_above: the same for the area.
+        gap_energy: (n,) share of the energy within `_GAP` levels of each cut.
+        contrast: (n,) mean radiance above over mean radiance below each cut.
+    """
+
+    radiance: NDArray[np.float64]
+    energy_above: NDArray[np.float64]
+    area_above: NDArray[np.float64]
+    gap_energy: NDArray[np.float64]
+    contrast: NDArray[np.float64]
 
 
 def auto_threshold(
-    histogram: NDArray[np.int64], previous: NDArray[np.float32] | None = None
+    histogram: NDArray[np.int64], scale: float, total_area: float, previous: NDArray[np.float32] | None = None
 ) -> NDArray[np.float32]:
-    """Threshold per channel by the between-class variance of log radiance.
+    """Threshold per channel that leaves sources direct and ordinary lit surfaces indirect.
 
     Args:
         histogram: (3, split.COARSE_BINS) int64 of `split.radiance_histogram`.
-        previous: (3,) threshold in use, kept where it is nearly as good, so that noise moves nothing.
+        scale: that the histogram was made with.
+        total_area: of all texels, m^2, black ones included.
+        previous: (3,) thresholds in use; each stays while it still splits well and no further source has appeared.
 
     Returns:
-        (3,) float32; infinity for a channel that is black.
+        (3,) float32; infinity for a channel that is black or in which no source stands out.
     """
     threshold = np.full(3, np.inf, dtype=np.float32)
     for channel in range(3):
-        old = None if previous is None else float(previous[channel])
-        threshold[channel] = _channel_threshold(histogram[channel], old)
+        levels = _levels(histogram[channel], scale * total_area)
+        if levels is not None:
+            old = np.inf if previous is None else float(previous[channel])
+            threshold[channel] = _choose(levels, old)
     return threshold
 
 
-def _channel_threshold(histogram: NDArray[np.int64], previous: float | None) -> float:
-    used = np.flatnonzero(histogram)
+def _levels(histogram: NDArray[np.int64], scaled_area: float) -> _Levels | None:
+    energy = histogram.reshape(-1, _GROUP).sum(axis=1).astype(np.float64)
+    used = np.flatnonzero(energy)
     if used.size == 0:
-        return float("inf")
-    lower, upper = bin_edges(used), bin_edges(used + 1)
-    if used.size == 1:
-        return float(lower[0])
-    weight = histogram[used].astype(np.float64)
-    weight /= weight.sum()
-    level = np.log2(0.5 * (lower + upper))
-    score = _between_class(weight, level)
-    best = int(np.argmax(score))
-    if previous is not None and np.isfinite(previous):
-        kept = int(np.searchsorted(lower, previous)) - 1
-        if 0 <= kept < score.size and score[kept] >= _KEEP_SCORE * score[best]:
-            return previous
-    # Between two populations there is a gap: the middle of the widest empty stretch among nearly equal scores.
-    good = np.flatnonzero(score >= _KEEP_SCORE * score[best])
-    gap = np.log2(lower[good + 1] / upper[good])
-    cut = int(good[np.argmax(gap)])
-    return float(np.float32(np.sqrt(upper[cut] * lower[cut + 1])))
+        return None
+    # The lowest level is never wholly cut off from the padding: one empty level below it suffices.
+    first, last = max(int(used[0]) - _GAP, 0), int(used[-1]) + _GAP + 1
+    energy = energy[first:last]
+    level = np.arange(first, last, dtype=np.uint32)
+    radiance = (level << np.uint32(19)).view(np.float32).astype(np.float64)
+    middle = ((level << np.uint32(19)) | np.uint32(1 << 18)).view(np.float32).astype(np.float64)
+    # Black texels lie below all levels: areas are shares of the whole room. Rounding must not make more than that.
+    area = energy / middle / scaled_area
+    area /= max(1.0, float(area.sum()))
+    energy /= energy.sum()
+    below = np.concatenate([[0.0], np.cumsum(energy)])
+    energy_above = np.cumsum(energy[::-1])[::-1]
+    area_above = np.cumsum(area[::-1])[::-1]
+    cut = np.arange(level.size)
+    gap = below[np.minimum(cut + _GAP, level.size)] - below[np.maximum(cut - _GAP, 0)]
+    tiny = np.finfo(np.float64).tiny
+    contrast = (energy_above / np.maximum(area_above, tiny)) * (
+        np.maximum(1.0 - area_above, 0.0) / np.maximum(1.0 - energy_above, tiny)
+    )
+    return _Levels(
+        radiance=radiance, energy_above=energy_above, area_above=area_above, gap_energy=gap, contrast=contrast
+    )
 
 
-def _between_class(weight: NDArray[np.float64], level: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Otsu's score of a cut after each bin but the last."""
-    below = np.cumsum(weight)[:-1]
-    moment = np.cumsum(weight * level)
-    above = np.maximum(1.0 - below, 1e-300)
-    difference = moment[:-1] / below - (moment[-1] - moment[:-1]) / above
-    return np.asarray(below * above * difference * difference)
+def _choose(levels: _Levels, previous: float) -> float:
+    found = _lowest_cut(levels)
+    if np.isfinite(previous):
+        kept = int(np.searchsorted(levels.radiance, previous))
+        in_range = 0 < kept < levels.radiance.size
+        if in_range and _separates(levels, kept, 0.0, _KIND):
+            if found is None:
+                return previous
+            newly_direct = levels.energy_above[found] - levels.energy_above[kept]
+            if newly_direct < _STRICT.min_share:
+                return previous
+    return float("inf") if found is None else float(levels.radiance[found])
+
+
+def _lowest_cut(levels: _Levels) -> int | None:
+    """The lowest of all gaps that separate a class of sources from what is below it, found from the top."""
+    accepted: int | None = None
+    above = 0.0
+    cut = levels.radiance.size - 1
+    while cut > 0 and levels.area_above[cut] <= _STRICT.max_area:
+        if _separates(levels, cut, above, _STRICT):
+            cut = accepted = _middle_of_gap(levels.gap_energy, cut)
+            above = float(levels.energy_above[cut])
+        cut -= 1
+    return accepted
+
+
+def _separates(levels: _Levels, cut: int, above: float, limits: _Limits) -> bool:
+    """Whether a cut splits a class of sources off; `above` is the energy of the classes above it."""
+    own = levels.energy_above[cut] - above
+    # Behind the sources there may be little light, as in a black room; the gap is then judged against the sources alone.
+    rest = max(1.0 - levels.energy_above[cut], limits.min_share)
+    return bool(
+        own >= limits.min_share
+        and levels.gap_energy[cut] <= limits.max_gap * min(own, rest)
+        and levels.area_above[cut] <= limits.max_area
+        and levels.contrast[cut] >= limits.min_contrast
+    )
+
+
+def _middle_of_gap(gap_energy: NDArray[np.float64], cut: int) -> int:
+    """Slide down to the emptiest cut of this gap; the middle where several are equally empty."""
+    lowest = cut
+    while lowest > 1 and gap_energy[lowest - 1] < gap_energy[lowest]:
+        lowest -= 1
+    end = lowest
+    while end > 1 and gap_energy[end - 1] == gap_energy[lowest]:
+        end -= 1
+    return (lowest + end) // 2

@@ -104,7 +104,7 @@ class CpuBackend:
             histogram = radiance_histogram(
                 self._radiance, self._blocks.area, scale, self._blocks.num_blocks, self._pool
             )
-            self._threshold = auto_threshold(histogram, self._threshold)
+            self._threshold = auto_threshold(histogram, scale, self._total_area, self._threshold)
         return self._threshold
 
     def sample(self) -> NDArray[np.float64]:

@@ -32,6 +32,7 @@ class TexelBlocks:
         position: (N, 3) float32 metres. normal: (N, 3) float32 unit. area: (N,) float32 m^2.
         block_centre: (B, 6) float64, centre of the block in cluster space (position, NORMAL_SCALE * normal).
         block_radius: (B,) float64, all texels of the block lie within this distance of it.
+        origin: (3,) float64, a point amid the texels; moments are taken about it to keep their digits.
     """
 
     position: NDArray[np.float32]
@@ -39,6 +40,7 @@ class TexelBlocks:
     area: NDArray[np.float32]
     block_centre: NDArray[np.float64]
     block_radius: NDArray[np.float64]
+    origin: NDArray[np.float64]
 
     @property
     def num_texels(self) -> int:
@@ -81,6 +83,7 @@ def make_blocks(texels: TexelGeometry) -> TexelBlocks:
         area=area,
         block_centre=centre,
         block_radius=np.maximum.reduceat(distance, starts),
+        origin=position.mean(axis=0, dtype=np.float64),
     )
 
 

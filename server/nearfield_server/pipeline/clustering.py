@@ -69,7 +69,7 @@ def _assign(points: Any, centres: Any, alive: Any, label: Any, nearest: Any, sec
                     runner_up = distance
         label[k], nearest[k], second[k] = best_slot, best, runner_up
         total += best
-    return total / points.shape[0]
+    return float(total / points.shape[0])
 
 
 @njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]

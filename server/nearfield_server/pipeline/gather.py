@@ -134,7 +134,6 @@ def _gather_blocks(
     block_max: Any,
 ) -> None:
     unit = np.float32(1.0 / 255.0)
-    pairs_address = np.int64(pairs.ctypes.data)
     for block in range(first, last):
         k = block_pair_start[block]
         high0, high1, high2 = np.float32(0.0), np.float32(0.0), np.float32(0.0)
@@ -189,7 +188,8 @@ def gather(
         radiance: (N, 3) float32, overwritten.
         block_max: (B, 3) float32, overwritten with the largest radiance of each block.
         pool: threads.
-        fill_texels: (U,) positions in texel order without any pair. fill_sources: (U,) positions that have pairs.
+        fill_texels: (U,) positions in texel order without any pair.
+        fill_sources: (U,) positions that have pairs.
 
     Raises:
         ConfigError: pictures do not fit the table.

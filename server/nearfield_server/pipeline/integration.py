@@ -158,8 +158,11 @@ def integrate(
 
     Args:
         blocks: static texel data.
-        radiance: (N, 3). block_max: (B, 3). threshold: (3,).
-        centres: (M, 6) in cluster space. alive: (M,).
+        radiance: (N, 3).
+        block_max: (B, 3).
+        threshold: (3,).
+        centres: (M, 6) in cluster space.
+        alive: (M,).
         pool: threads.
 
     Returns:
@@ -168,7 +171,6 @@ def integrate(
     num_slots = centres.shape[0]
     living = np.flatnonzero(alive)
     sums = np.zeros((num_slots, _COLUMNS))
-    origin = blocks.position.mean(axis=0, dtype=np.float64) if living.size else np.zeros(3)
     if living.size:
         partial = np.zeros((NUM_CHUNKS, living.size, _COLUMNS))
         pool.run(
@@ -183,11 +185,11 @@ def integrate(
             block_max,
             threshold,
             np.ascontiguousarray(centres[living]),
-            origin,
+            blocks.origin,
             partial,
         )
         sums[living] = partial.sum(axis=0)
-    return _lights_from_sums(sums, origin, centres)
+    return _lights_from_sums(sums, blocks.origin, centres)
 
 
 def _lights_from_sums(

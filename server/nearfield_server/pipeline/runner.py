@@ -12,9 +12,9 @@ from dataclasses import replace
 from typing import Final, Literal, Protocol, TypeVar
 
 import numpy as np
-from nearfield_protocol.codec import VAL_DTYPE
 from numpy.typing import NDArray
 
+from nearfield_protocol.codec import VAL_DTYPE
 from nearfield_server.errors import ConfigError, GraphicsError
 from nearfield_server.pipeline.backend import BackendSetup, CpuBackend, StageBackend
 from nearfield_server.pipeline.clustering import ClusterState, empty_state, update_clusters
@@ -80,13 +80,16 @@ class LightPipeline:
         """Prepare the static inputs.
 
         Args:
-            mesh, texels, table: the room.
+            mesh: the room.
+            texels: its texels.
+            table: which pixels show them.
             settings: how light is extracted.
             probe_rays: finds what a probe sees.
             backend: "cpu" (numba), "gl" (a real GPU), "reference" (float64, slow), or "auto": "gl" on a hardware
                 renderer, else "cpu".
             unseen_fill: radiance for texels that no camera sees.
-            wall_clock, cpu_clock: seconds.
+            wall_clock: seconds.
+            cpu_clock: seconds of all threads of the process.
 
         Raises:
             ConfigError: settings or static inputs are unusable.
@@ -316,14 +319,14 @@ def _make_backend(name: BackendName, setup: BackendSetup) -> StageBackend:
         try:
             # Found by name at run time: this package stays importable and testable without any graphics code.
             module = importlib.import_module("nearfield_server.gpu.light_stages")
-            backend: StageBackend = module.create_light_backend(setup, allow_software=name == "gl")
+            stages: StageBackend = module.create_light_backend(setup, allow_software=name == "gl")
         except (ImportError, GraphicsError) as error:
             if name == "gl":
                 raise GraphicsError(
                     f'light backend "gl" is not usable: {error}; use "auto" or "cpu"'
                 ) from error
         else:
-            return backend
+            return stages
     elif name == "reference":
         from nearfield_server.reference.light_stages import ReferenceBackend
 

@@ -80,7 +80,10 @@ def sample_direct_texels(
     """Choose texels by inverse cumulative density.
 
     Args:
-        radiance: (N, 3). area: (N,). threshold: (3,). block_max: (B, 3).
+        radiance: (N, 3).
+        area: (N,).
+        threshold: (3,).
+        block_max: (B, 3).
         pattern: (S,) increasing in [0, 1).
         pool: threads.
 

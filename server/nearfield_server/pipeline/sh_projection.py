@@ -47,7 +47,8 @@ def project_indirect(
     Args:
         probe_texel: (6 R R,) position in texel order behind each cube pixel, or -1 where nothing is (counts as black).
         resolution: R.
-        radiance: (N, 3) float32. threshold: (3,) float32; channels at or above it are left out.
+        radiance: (N, 3) float32.
+        threshold: (3,) float32; channels at or above it are left out.
 
     Returns:
         (9, 3) float64, world axes.

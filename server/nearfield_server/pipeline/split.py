@@ -81,7 +81,8 @@ def radiance_histogram(
     """Histogram of radiance, weighted by L dA.
 
     Args:
-        radiance: (N, 3) float32, finite and >= 0. area: (N,) m^2.
+        radiance: (N, 3) float32, finite and >= 0.
+        area: (N,) m^2.
         scale: of `fixed_point_scale`.
         num_blocks: B.
         pool: threads.
@@ -91,7 +92,7 @@ def radiance_histogram(
     """
     partial = np.zeros((pool.num_threads, 3, COARSE_BINS), dtype=np.int64)
     pool.run(_coarse_histogram, num_blocks, radiance, area, scale, partial, num_chunks=pool.num_threads)
-    return partial[0] if pool.num_threads == 1 else partial.sum(axis=0)
+    return np.asarray(partial.sum(axis=0))
 
 
 def ratio_threshold(
@@ -104,7 +105,9 @@ def ratio_threshold(
     """Exact threshold per channel: the largest t such that texels with L >= t hold at least `ratio` of sum L dA.
 
     Args:
-        radiance: (N, 3) float32, finite and >= 0. area: (N,). block_max: (B, 3).
+        radiance: (N, 3) float32, finite and >= 0.
+        area: (N,) m^2.
+        block_max: (B, 3).
         ratio: in (0, 1].
         pool: threads.
 

@@ -20,8 +20,10 @@ def val_irradiance(
     is exact on the axis of a parallel disc (protocol/CONVENTIONS.md).
 
     Args:
-        points: (..., 3) metres. normals: (..., 3) unit.
-        val_position: (3,). val_normal: (3,) unit.
+        points: (..., 3) metres.
+        normals: (..., 3) unit.
+        val_position: (3,) metres.
+        val_normal: (3,) unit.
         radiant_intensity: (C,) W/sr.
         area: m^2.
 
@@ -55,7 +57,8 @@ def polygon_irradiance(
     `E = L / 2 * sum over edges of (angle of the edge) (unit normal of the edge's cone . n)`.
 
     Args:
-        points: (P, 3). normals: (P, 3) unit.
+        points: (P, 3) metres.
+        normals: (P, 3) unit.
         polygon: (V, 3) corners, counter-clockwise seen from the side that shines.
         radiance: (C,).
 

@@ -10,10 +10,10 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from nearfield_calibration import fisheye
-from nearfield_calibration.models import FisheyeIntrinsics
 from numpy.typing import NDArray
 
+from nearfield_calibration import fisheye
+from nearfield_calibration.models import FisheyeIntrinsics
 from nearfield_server.radiometry.cube import cube_directions
 from nearfield_server.records import CameraModel, GatherTable, RoomMesh, TexelGeometry
 
@@ -70,7 +70,7 @@ class BoxRoom:
         pick = np.arange(points.shape[0])
         column = np.clip((relative[pick, table[face, 2]] * columns).astype(np.int64), 0, columns - 1)
         row = np.clip((relative[pick, table[face, 3]] * rows).astype(np.int64), 0, rows - 1)
-        return ((face * rows + row) * columns + column).astype(np.int32)
+        return np.asarray((face * rows + row) * columns + column, dtype=np.int32)
 
     def trace(self, centre_world: NDArray[np.float64], resolution: int = 32) -> NDArray[np.int32]:
         """Texel behind each pixel of a cube, as `geometry.probes.ProbeRays.trace`."""
@@ -151,7 +151,7 @@ def lamp_field(
                 (face == lamp_face) & (np.abs(u - centre[0]) <= half[0]) & (np.abs(v - centre[1]) <= half[1])
             )
             radiance[inside] = lamp_radiance
-        return radiance
+        return np.asarray(radiance)
 
     return field
 
@@ -259,7 +259,8 @@ def _box_mesh(room: BoxRoom, albedo: float) -> RoomMesh:
         corners[:, axis] = side * room.size[axis]
         corners[:, column_axis] = np.array([0.0, 1.0, 1.0, 0.0]) * room.size[column_axis]
         corners[:, row_axis] = np.array([0.0, 0.0, 1.0, 1.0]) * room.size[row_axis]
-        chart = np.array([[0, 0], [columns, 0], [columns, rows], [0, rows]], dtype=np.float64) + [left, top]
+        chart = np.array([[0, 0], [columns, 0], [columns, rows], [0, rows]], dtype=np.float64)
+        chart += np.array([left, top])
         order = np.array([[0, 1, 2], [0, 2, 3]])
         if np.cross(corners[1] - corners[0], corners[2] - corners[0]) @ inward < 0.0:
             order = order[:, ::-1]
