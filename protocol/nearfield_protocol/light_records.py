@@ -126,7 +126,7 @@ def checked_objects(packet: LightPacket) -> tuple[NDArray[np.float32], NDArray[n
     object_sh = np.asarray(packet.object_sh, np.float32)
     if object_sh.ndim != 3 or object_sh.shape[1:] != (9, 3) or len(object_sh) > MAX_OBJECTS:
         raise EncodeError("object_sh", expected=f"(n, 9, 3) with n <= {MAX_OBJECTS}", found=object_sh.shape)
-    valid = (np.abs(object_sh) <= quantise.MAX_RADIOMETRIC).reshape(len(object_sh), -1).all(axis=1)
+    valid = (np.abs(object_sh) <= quantise.MAX_RADIOMETRIC).all(axis=(1, 2))
     if not valid.all():
         raise EncodeError(
             f"object_sh[{int(np.argmin(valid))}]",

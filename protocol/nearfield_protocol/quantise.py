@@ -109,9 +109,8 @@ def decode_rgb9e5(words: NDArray[np.uint32], scale_exponent: int = 0) -> NDArray
     """Undo `encode_rgb9e5`, exactly: words (...,) to RGB (..., 3)."""
     w = words.astype(np.int64)
     mantissa = np.stack([w & 0x1FF, w >> 9 & 0x1FF, w >> 18 & 0x1FF], axis=-1)
-    return np.ldexp(mantissa.astype(np.float64), ((w >> 27) - 24 + scale_exponent)[..., None]).astype(
-        np.float32
-    )
+    values = np.ldexp(mantissa.astype(np.float64), ((w >> 27) - 24 + scale_exponent)[..., None])
+    return np.asarray(values, np.float32)
 
 
 def encode_areas(areas: Floats) -> NDArray[np.uint16]:
