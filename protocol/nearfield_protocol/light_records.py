@@ -106,7 +106,7 @@ def checked_vals(
         position <= bounds_min.astype(np.float64) + bounds_size + slack
     )
     bounds = f"inside {bounds_min.tolist()} + {bounds_size.tolist()}"
-    _check_each(inside.all(axis=1), "position", vals["position"], bounds)
+    _check_each((inside & np.isfinite(position)).all(axis=1), "position", vals["position"], bounds)
     length = np.linalg.norm(normal, axis=1)
     _check_each(np.abs(length - 1) <= 1e-3, "normal", vals["normal"], "a unit vector")
     _check_each((area >= 0) & (area <= quantise.AREA_MAX), "area", area, f"0 to {quantise.AREA_MAX:g} m^2")
