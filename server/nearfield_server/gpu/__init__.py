@@ -1,0 +1,1 @@
+"""Everything that needs OpenGL; the only importer of moderngl."""
