@@ -153,8 +153,9 @@ def integrate(
 
     The area is that of the disc whose second moment, within the plane across the mean normal, equals that of the
     cluster's direct energy: `A = 2 pi <rho^2> + mean dA`, with rho the distance from the centre across the normal (a
-    uniform disc has <rho^2> = A / (2 pi); each texel counts as a small disc of its own). With it the irradiance on the axis agrees with Eq. 5 to second order in size / distance, for
-    elongated and for scattered clusters too, where the plain sum of areas does not.
+    uniform disc has <rho^2> = A / (2 pi); each texel counts as a small disc of its own). With it the irradiance on the
+    axis agrees with Eq. 5 to second order in size / distance, for elongated and for scattered clusters too, where the
+    plain sum of areas does not.
 
     Args:
         blocks: static texel data.
@@ -189,12 +190,13 @@ def integrate(
             partial,
         )
         sums[living] = partial.sum(axis=0)
-    return _lights_from_sums(sums, blocks.origin, centres)
+    return lights_from_sums(sums, blocks.origin, centres)
 
 
-def _lights_from_sums(
+def lights_from_sums(
     sums: NDArray[np.float64], origin: NDArray[np.float64], centres: NDArray[np.float64]
 ) -> ValSums:
+    """Lights in slot order from the (M, 17) float64 sums over direct texels, positions relative to `origin`."""
     weight = sums[:, 3]
     lit = weight > 0.0
     inverse = np.where(lit, 1.0 / np.where(lit, weight, 1.0), 0.0)[:, None]
