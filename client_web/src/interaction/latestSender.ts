@@ -12,14 +12,18 @@ export const browserTimers: Timers = {
 }
 
 /**
- * Sends the newest value per key, at most once per interval. The first value goes at once and the last one always goes.
+ * Sends the newest value per key, at most one value of all keys per interval: the server counts messages per client.
+ * The first value goes at once, the last of every key always goes, and keys take turns.
  */
 export class LatestSender<Key, Value> {
   readonly #intervalMs: number
   readonly #send: (key: Key, value: Value) => void
   readonly #timers: Timers
-  readonly #lastSent = new Map<Key, number>()
-  readonly #waiting = new Map<Key, { value: Value; handle: number }>()
+  readonly #sentAt = new Map<Key, number>()
+  /** In the order in which the keys began to wait. */
+  readonly #waiting = new Map<Key, Value>()
+  #lastSent = Number.NEGATIVE_INFINITY
+  #timer: number | null = null
 
   constructor(intervalMs: number, send: (key: Key, value: Value) => void, timers: Timers = browserTimers) {
     this.#intervalMs = intervalMs
@@ -28,41 +32,44 @@ export class LatestSender<Key, Value> {
   }
 
   offer(key: Key, value: Value): void {
-    const waiting = this.#waiting.get(key)
-    if (waiting) {
-      waiting.value = value
-      return
+    this.#waiting.set(key, value)
+    if (this.#timer === null) {
+      this.#sendOrWait()
     }
-    const now = this.#timers.now()
-    const due = (this.#lastSent.get(key) ?? Number.NEGATIVE_INFINITY) + this.#intervalMs
-    if (now >= due) {
-      this.#lastSent.set(key, now)
-      this.#send(key, value)
-      return
-    }
-    const handle = this.#timers.setTimeout(() => this.#flush(key), due - now)
-    this.#waiting.set(key, { value, handle })
   }
 
   /** Whether a value waits, or one was sent so recently that the server's answer to it may be on its way. */
   isBusy(key: Key, settleMs: number): boolean {
-    const last = this.#lastSent.get(key)
-    return this.#waiting.has(key) || (last !== undefined && this.#timers.now() - last < settleMs)
+    const sentAt = this.#sentAt.get(key)
+    return this.#waiting.has(key) || (sentAt !== undefined && this.#timers.now() - sentAt < settleMs)
   }
 
   dispose(): void {
-    for (const { handle } of this.#waiting.values()) {
-      this.#timers.clearTimeout(handle)
-    }
     this.#waiting.clear()
+    if (this.#timer !== null) {
+      this.#timers.clearTimeout(this.#timer)
+      this.#timer = null
+    }
   }
 
-  #flush(key: Key): void {
-    const waiting = this.#waiting.get(key)
-    if (waiting) {
+  #sendOrWait(): void {
+    this.#timer = null
+    const next = this.#waiting.entries().next()
+    if (next.done) {
+      return
+    }
+    const now = this.#timers.now()
+    const due = this.#lastSent + this.#intervalMs
+    if (now >= due) {
+      const [key, value] = next.value
       this.#waiting.delete(key)
-      this.#lastSent.set(key, this.#timers.now())
-      this.#send(key, waiting.value)
+      this.#lastSent = now
+      this.#sentAt.set(key, now)
+      this.#send(key, value)
+    }
+    if (this.#waiting.size > 0) {
+      const delay = Math.max(0, this.#lastSent + this.#intervalMs - now)
+      this.#timer = this.#timers.setTimeout(() => this.#sendOrWait(), delay)
     }
   }
 }

@@ -30,7 +30,7 @@ export class Shell {
   readonly toasts = new Toasts()
   readonly overlay = new Overlay()
   readonly #root: HTMLElement
-  readonly #stage: HTMLElement
+  readonly stage: HTMLElement
   #controls: SceneControls | null = null
 
   constructor(root: HTMLElement) {
@@ -40,22 +40,22 @@ export class Shell {
       tabIndex: 0,
       attributes: { 'aria-label': strings.picture, role: 'application' },
     })
-    this.#stage = element('main', { className: 'stage' }, this.canvas)
-    root.replaceChildren(this.#stage, this.toasts.element, this.overlay.element)
+    this.stage = element('main', { className: 'stage' }, this.canvas)
+    root.replaceChildren(this.stage, this.toasts.element, this.overlay.element)
   }
 
   /** Adds the controls for a scene. */
   showScene(scene: SceneDescription, actions: ShellActions): SceneControls {
     this.#controls = new SceneControls(scene, actions)
-    this.#stage.before(this.#controls.topBar)
-    this.#stage.after(this.#controls.sheet.element)
+    this.stage.before(this.#controls.topBar)
+    this.stage.after(this.#controls.sheet.element)
     this.#root.classList.add('has-controls')
     return this.#controls
   }
 
   /** Space for the picture, CSS pixels. */
   stageSize(): { width: number; height: number } {
-    return { width: this.#stage.clientWidth, height: this.#stage.clientHeight }
+    return { width: this.stage.clientWidth, height: this.stage.clientHeight }
   }
 
   /** Lays the picture out: the largest size of this width to height ratio, or the whole stage for null. */

@@ -1,0 +1,395 @@
+/** The running page: light, camera and objects in, pictures out. Draws only when something changed. */
+import { LatestSender } from '../interaction/latestSender'
+import { PointerInput } from '../interaction/pointerInput'
+import type { PoseParts } from '../interaction/pose'
+import type { RoomTriangles } from '../interaction/roomSurface'
+import type { ControlState, LightPacket } from '../protocol/codec'
+import type { SceneDescription } from '../state/sceneDescription'
+import type { PictureSettings } from '../ui/picturePanel'
+import type { SceneControls, Shell, ShellActions, ViewChoice } from '../ui/shell'
+import { strings } from '../ui/strings'
+import { CameraControl } from './cameraControl'
+import { suitableExposure } from './exposure'
+import { FrameLoop } from './frameLoop'
+import { handleKey } from './keyboard'
+import { LightFeed } from './lightFeed'
+import { ObjectControl } from './objectControl'
+import type {
+  Connection,
+  ConnectionEvents,
+  ConnectionState,
+  FrameReport,
+  PictureRenderer,
+  RendererSettings,
+} from './ports'
+import { ResolutionGovernor } from './resolutionGovernor'
+
+/** At most 15 control messages per second leave a page. */
+const SEND_INTERVAL_MS = 67
+/** How long the server's echo of an own message may take. */
+const SETTLE_MS = 600
+const FRAME_MS_SMOOTHING = 0.1
+
+type ControlKey = `light ${number}` | `object ${number}`
+type ControlValue = number | PoseParts
+
+export interface ViewerOptions {
+  /** For `nearfield evaluate`: no interface, no cross-fade, no animation, full quality. */
+  readonly evaluate: boolean
+}
+
+export interface ViewerNumbers {
+  readonly frameMs: number | null
+  readonly width: number
+  readonly height: number
+}
+
+export class Viewer implements ShellActions {
+  readonly feed: LightFeed
+  readonly camera: CameraControl
+  readonly objects: ObjectControl
+  readonly scene: SceneDescription
+  readonly #shell: Shell
+  readonly #renderer: PictureRenderer
+  readonly #options: ViewerOptions
+  readonly #loop: FrameLoop
+  readonly #governor = new ResolutionGovernor(window.devicePixelRatio)
+  readonly #sender: LatestSender<ControlKey, ControlValue>
+  readonly #weights: Float32Array
+  #controls: SceneControls | null = null
+  #connection: Connection | null = null
+  #connectionState: ConnectionState = { kind: 'connecting' }
+  #onConnectionState: (state: ConnectionState) => void = () => undefined
+  #picture: PictureSettings
+  #exposureDue: boolean
+  #report: FrameReport = { passes: [], cpuMs: 0, pending: false }
+  #frameMs: number | null = null
+  #size = { width: 0, height: 0 }
+
+  constructor(
+    shell: Shell,
+    scene: SceneDescription,
+    renderer: PictureRenderer,
+    room: RoomTriangles,
+    settings: RendererSettings,
+    options: ViewerOptions,
+  ) {
+    this.#shell = shell
+    this.scene = scene
+    this.#renderer = renderer
+    this.#options = options
+    this.feed = new LightFeed(scene.settings.stale_after_ms, options.evaluate ? { fadeMs: 0 } : {})
+    this.#picture = { ...settings, autoExposure: scene.settings.exposure === null }
+    this.#exposureDue = this.#picture.autoExposure && !options.evaluate
+    this.#weights = Float32Array.from(scene.lights, (light) => light.weight)
+    this.#sender = new LatestSender(SEND_INTERVAL_MS, (key, value) => this.#send(key, value))
+    this.#loop = new FrameLoop((nowMs, sinceLastMs) => this.#draw(nowMs, sinceLastMs))
+    this.objects = new ObjectControl(scene, room, {
+      poseChanged: (objectIndex, pose) => {
+        renderer.setObjectPose(objectIndex, pose)
+        this.requestFrame()
+      },
+      poseToSend: (objectIndex, parts) => this.#sender.offer(`object ${objectIndex}`, parts),
+      selected: (objectIndex) => this.#controls?.setSelectedObject(objectIndex),
+      isUnsettled: (objectIndex) => this.#sender.isBusy(`object ${objectIndex}`, SETTLE_MS),
+      pick: (xNdc, yNdc) => this.#pick(xNdc, yNdc),
+      ray: (xNdc, yNdc) => this.camera.ray(xNdc, yNdc, this.#size.width / this.#size.height),
+    })
+    if (!options.evaluate) {
+      // Before the camera's own listeners: what touches an object must not orbit.
+      new PointerInput(shell.canvas, this.objects)
+      shell.canvas.addEventListener('keydown', (event) => handleKey(event, this))
+    }
+    this.camera = new CameraControl(scene, options.evaluate ? null : shell.canvas, () => this.requestFrame())
+    scene.objects.forEach((_, index) => {
+      renderer.setObjectPose(index, this.objects.pose(index))
+    })
+    renderer.setLightWeights(this.#weights)
+  }
+
+  get connectionState(): ConnectionState {
+    return this.#connectionState
+  }
+
+  get report(): FrameReport {
+    return this.#report
+  }
+
+  get weights(): readonly number[] {
+    return [...this.#weights]
+  }
+
+  get picture(): Readonly<PictureSettings> {
+    return this.#picture
+  }
+
+  get numbers(): ViewerNumbers {
+    return { frameMs: this.#frameMs, ...this.#size }
+  }
+
+  get controls(): SceneControls | null {
+    return this.#controls
+  }
+
+  /** Adds the interface and begins to draw. */
+  show(): void {
+    this.#controls = this.#shell.showScene(this.scene, this)
+    this.#controls.setPicture(this.#picture)
+    this.selectView(this.camera.view)
+    this.layoutChanged()
+  }
+
+  /** @param onState told every state of the connection, after the viewer has taken notice. */
+  connect(
+    open: (events: ConnectionEvents) => Connection,
+    onState: (state: ConnectionState) => void,
+    onRefused: (text: string) => void,
+  ): void {
+    this.#onConnectionState = onState
+    this.#connection = open({
+      state: (state) => this.#takeConnectionState(state),
+      light: (packet, numBytes) => this.takeLight(packet, numBytes),
+      atlas: (tiles) => {
+        this.#renderer.updateAtlas(tiles)
+        this.requestFrame()
+      },
+      controlState: (state) => this.#takeControlState(state),
+      status: (status) => this.feed.observeStatus(status, performance.now()),
+      refused: onRefused,
+    })
+    this.#connection.wantAtlas(this.#wantsAtlas())
+  }
+
+  /** Takes a packet as if it had just arrived; also the entrance for tests. */
+  takeLight(packet: LightPacket, numBytes: number): boolean {
+    const isNew = this.feed.push(packet, numBytes, performance.now())
+    if (isNew && this.#options.evaluate) {
+      this.#takeFrameLight(performance.now())
+      this.feed.settle()
+    } else if (isNew) {
+      this.requestFrame()
+    }
+    return isNew
+  }
+
+  requestFrame(): void {
+    if (!this.#options.evaluate) {
+      this.#loop.request()
+    }
+  }
+
+  pause(): void {
+    this.#loop.pause()
+  }
+
+  resume(): void {
+    this.#loop.resume()
+    this.requestFrame()
+  }
+
+  selectView(view: ViewChoice): void {
+    this.camera.select(view)
+    this.#controls?.setView(view)
+    this.#exposureDue = this.#exposureDue || (this.#picture.autoExposure && view !== 'free')
+    this.#connection?.wantAtlas(this.#wantsAtlas())
+    this.layoutChanged()
+  }
+
+  setLightWeight(lightIndex: number, weight: number): void {
+    if (lightIndex < 0 || lightIndex >= this.#weights.length || !(weight >= 0)) {
+      throw new RangeError(
+        `light weight: expected light 0 to ${this.#weights.length - 1} and a weight >= 0, ` +
+          `found light ${lightIndex} and ${weight}`,
+      )
+    }
+    this.#showLightWeight(lightIndex, weight)
+    this.#sender.offer(`light ${lightIndex}`, weight)
+  }
+
+  selectObject(objectIndex: number): void {
+    this.objects.select(objectIndex)
+  }
+
+  rotateObject(objectIndex: number, angle: number): void {
+    this.objects.rotate(objectIndex, angle)
+  }
+
+  resetObject(objectIndex: number): void {
+    this.objects.reset(objectIndex)
+  }
+
+  changePicture(change: Partial<PictureSettings>): void {
+    this.#picture = { ...this.#picture, ...change }
+    const { autoExposure, ...settings } = this.#picture
+    this.#exposureDue = this.#exposureDue ? autoExposure : change.autoExposure === true
+    this.#renderer.setOptions(settings)
+    this.#controls?.setPicture(this.#picture)
+    this.requestFrame()
+  }
+
+  /** Fits the picture into its place; call when the place or the pixels of the screen changed. */
+  layoutChanged(): void {
+    if (this.#options.evaluate) {
+      return
+    }
+    this.#governor.setDevicePixelRatio(window.devicePixelRatio)
+    const fitted = this.#shell.fitPicture(this.camera.aspect)
+    const width = Math.max(1, Math.round(fitted.width * this.#governor.scale))
+    const height = Math.max(1, Math.round(fitted.height * this.#governor.scale))
+    if (width !== this.#size.width || height !== this.#size.height) {
+      this.#size = { width, height }
+      this.#renderer.setSize(width, height)
+    }
+    this.requestFrame()
+  }
+
+  /**
+   * Draws a tablet view in full quality and in the size of its calibration, whatever the screen shows.
+   *
+   * @returns linear radiance, 4 floats per pixel, row 0 on top.
+   */
+  renderViewComposite(viewIndex: number): { width: number; height: number; rgba: Float32Array } {
+    const view = this.scene.views[viewIndex]
+    if (!view) {
+      throw new RangeError(`view ${viewIndex}: expected 0 to ${this.scene.views.length - 1}`)
+    }
+    this.#loop.pause()
+    this.#renderer.setOptions({ fullQuality: true })
+    this.#renderer.setSize(view.width, view.height)
+    this.#renderer.setCamera({ kind: 'tablet', viewIndex })
+    this.#takeFrameLight(performance.now())
+    this.#report = this.#renderUntilDone()
+    const rgba = this.#renderer.readComposite()
+    this.#renderer.setOptions({ fullQuality: this.#options.evaluate })
+    if (!this.#options.evaluate) {
+      this.#renderer.setSize(this.#size.width, this.#size.height)
+      this.#renderer.setCamera(this.camera.choice())
+    }
+    this.resume()
+    return { width: view.width, height: view.height, rgba }
+  }
+
+  #renderUntilDone(): FrameReport {
+    // One slice of shadow maps per frame at worst; more frames than slots would be a renderer that never ends.
+    for (let i = 0; i < 256; i++) {
+      const report = this.#renderer.render(performance.now())
+      if (!report.pending) {
+        return report
+      }
+    }
+    throw new Error('The renderer did not finish the picture within 256 frames.')
+  }
+
+  #draw(nowMs: number, sinceLastMs: number | null): boolean {
+    if (sinceLastMs !== null) {
+      this.#frameMs =
+        this.#frameMs === null
+          ? sinceLastMs
+          : this.#frameMs + FRAME_MS_SMOOTHING * (sinceLastMs - this.#frameMs)
+      if (this.#governor.observe(sinceLastMs)) {
+        this.layoutChanged()
+      }
+    }
+    const isMoving = this.camera.update()
+    const camera = this.camera.takeChange()
+    if (camera) {
+      this.#renderer.setCamera(camera)
+    }
+    // The light is sampled with the clock that stamped its arrival, which the frame time may lag behind.
+    this.#takeFrameLight(performance.now())
+    this.#report = this.#renderer.render(nowMs)
+    this.feed.settle()
+    if (this.#exposureDue) {
+      this.#measureExposure()
+    }
+    return isMoving || this.feed.fading || this.#report.pending
+  }
+
+  #takeFrameLight(nowMs: number): void {
+    const light = this.feed.next(nowMs)
+    if (light) {
+      this.#renderer.setLight(light)
+    }
+  }
+
+  #measureExposure(): void {
+    const exposure = suitableExposure(this.#renderer.readComposite())
+    if (exposure !== null) {
+      this.#exposureDue = false
+      this.#picture = { ...this.#picture, exposure }
+      this.#renderer.setOptions({ exposure })
+      this.#controls?.setPicture(this.#picture)
+      this.requestFrame()
+    }
+  }
+
+  #pick(xNdc: number, yNdc: number): ReturnType<ObjectControl['pickObject']> {
+    const hit = this.#renderer.pick(xNdc, yNdc)
+    if (!hit || hit.objectIndex < 0) {
+      return null
+    }
+    const ray = this.camera.ray(xNdc, yNdc, this.#size.width / this.#size.height)
+    const { x, y, z } = hit.positionWorld
+    return { objectIndex: hit.objectIndex, positionWorld: ray.origin.clone().set(x, y, z) }
+  }
+
+  #wantsAtlas(): boolean {
+    return this.camera.view === 'free' || !this.camera.hasBackground
+  }
+
+  #showLightWeight(lightIndex: number, weight: number): void {
+    this.#weights[lightIndex] = weight
+    this.#renderer.setLightWeights(this.#weights)
+    this.#controls?.setLightWeight(lightIndex, weight)
+    this.requestFrame()
+  }
+
+  #takeConnectionState(state: ConnectionState): void {
+    if (state.kind === 'live' && this.#connectionState.kind !== 'live') {
+      this.feed.reset()
+    }
+    this.#connectionState = state
+    this.#onConnectionState(state)
+  }
+
+  #takeControlState(state: ControlState): void {
+    state.lightWeights.forEach((weight, index) => {
+      const isKnown = index < this.#weights.length
+      if (
+        isKnown &&
+        Math.fround(weight) !== this.#weights[index] &&
+        !this.#sender.isBusy(`light ${index}`, SETTLE_MS)
+      ) {
+        this.#showLightWeight(index, weight)
+      }
+    })
+    state.objectPoses.forEach((pose, index) => {
+      this.objects.applyServerPose(index, pose)
+    })
+  }
+
+  #send(key: ControlKey, value: ControlValue): void {
+    const index = Number(key.slice(key.indexOf(' ') + 1))
+    if (typeof value === 'number') {
+      this.#connection?.setLightWeight(index, value)
+    } else {
+      this.#connection?.setObjectPose(index, value.position, value.quaternion)
+    }
+  }
+}
+
+/** Words for the state of a connection. */
+export function describeConnection(state: ConnectionState): string {
+  switch (state.kind) {
+    case 'connecting':
+      return strings.connection.connecting
+    case 'live':
+      return strings.connection.live
+    case 'waiting':
+      return state.retryMs >= 1000
+        ? strings.connection.retryIn(Math.round(state.retryMs / 1000))
+        : strings.connection.reconnecting
+    case 'closed':
+      return strings.connection.closed
+  }
+}
