@@ -1,0 +1,85 @@
+"""Frames straight from shared memory: newest, whole, and told apart from torn ones."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from nearfield_server.capture.frame_ring import FrameRingReader, FrameRingWriter, RingShape, create_ring
+from nearfield_server.illumination.frames import FrameCollector, camera_report
+
+SHAPE = RingShape(4, 4, 3)
+
+
+@pytest.fixture
+def rings() -> Iterator[tuple[list[FrameRingWriter], list[FrameRingReader]]]:
+    fds = [create_ring(f"cam{index}", SHAPE) for index in range(2)]
+    yield [FrameRingWriter(fd, "w") for fd in fds], [FrameRingReader(fd, "r") for fd in fds]
+    for fd in fds:
+        os.close(fd)
+
+
+def _write(writer: FrameRingWriter, value: float, timestamp_ns: int = 1) -> None:
+    with writer.write(int(value), timestamp_ns) as (pixels, counters):
+        pixels[...] = value
+        counters[...] = 0
+
+
+def test_the_newest_frame_of_each_camera_and_none_where_there_is_none(
+    rings: tuple[list[FrameRingWriter], list[FrameRingReader]],
+) -> None:
+    writers, readers = rings
+    collector = FrameCollector(readers)
+    assert collector.collect() == [None, None]
+    assert collector.stayed_whole()
+    _write(writers[1], 5)
+    _write(writers[1], 6)
+    first, second = collector.collect()
+    assert first is None
+    assert second is not None
+    assert (second.camera_index, second.sequence) == (1, 2)
+    assert (second.pixels == 6).all()
+    assert collector.stayed_whole()
+
+
+def test_an_overwritten_frame_is_noticed_and_taken_again_under_a_new_revision(
+    rings: tuple[list[FrameRingWriter], list[FrameRingReader]],
+) -> None:
+    writers, readers = rings
+    for writer in writers:
+        _write(writer, 1)
+    collector = FrameCollector(readers)
+    seen = [frame.content_revision for frame in collector.collect() if frame]
+    for value in range(2, 2 + SHAPE.slot_count):
+        _write(writers[0], value)
+    assert not collector.stayed_whole()
+    assert collector.torn == 1
+    again = [frame for frame in collector.recollect() if frame]
+    assert collector.stayed_whole()
+    assert not {frame.content_revision for frame in again} & set(seen)
+    assert (again[0].pixels == 1 + SHAPE.slot_count).all()
+    # For a while frames are copies: overwriting cannot hurt them.
+    copies = [frame for frame in collector.collect() if frame]
+    before = copies[0].pixels.copy()
+    for value in range(10, 10 + SHAPE.slot_count):
+        _write(writers[0], value)
+    np.testing.assert_array_equal(copies[0].pixels, before)
+    assert collector.stayed_whole()
+
+
+def test_age_counts_from_the_last_sign_of_the_camera(
+    rings: tuple[list[FrameRingWriter], list[FrameRingReader]],
+) -> None:
+    writers, readers = rings
+    second = 1_000_000_000
+    _write(writers[0], 1, timestamp_ns=5 * second)
+    report = camera_report(readers, ["left", "right"], 5 * second + second // 2)
+    assert [entry["camera_id"] for entry in report] == ["left", "right"]
+    assert [entry["age_s"] for entry in report] == [0.5, None]
+    assert [entry["stale"] for entry in report] == [False, True]
+    assert camera_report(readers, ["l", "r"], 7 * second)[0]["stale"]
+    writers[0].confirm(7 * second)
+    assert camera_report(readers, ["l", "r"], 7 * second)[0]["age_s"] == 0.0
