@@ -10,8 +10,11 @@ from numba import njit
 from numpy.typing import NDArray
 
 from nearfield_server.errors import CaptureError
+from nearfield_server.radiometry.half import as_uint16, float_to_half
 
 HALF_MAX = 65504.0
+_HALF_MAX_BITS = 0x7BFF
+_HALF_ONE_BITS = 0x3C00
 INGEST_COUNTERS = ("nan", "infinite", "negative", "above_range")
 
 
@@ -20,45 +23,37 @@ def _clean_rows(
     source: NDArray[np.float32],
     circle: NDArray[np.bool_],
     use_circle: bool,
-    target: NDArray[np.float32],
+    target: NDArray[np.uint16],
     counts: NDArray[np.uint64],
 ) -> None:
-    """Rows of float32 (H, W, C) to clean float32 (H, W, 4); no fastmath: it would remove the NaN test."""
+    """Rows of float32 (H, W, C) to the bits of clean halves (H, W, 4); no fastmath: it would remove the NaN test."""
+    num_channels = source.shape[2]
     for row in range(source.shape[0]):
         for column in range(source.shape[1]):
-            valid = not use_circle or circle[row, column]
-            if not valid:
-                target[row, column, 0] = target[row, column, 1] = target[row, column, 2] = target[
-                    row, column, 3
-                ] = 0.0
-                continue
             nan = infinite = negative = above = False
-            for channel in range(3):
-                value = source[row, column, channel]
-                if np.isnan(value):
-                    nan = True
-                    value = np.float32(0.0)
-                elif value < 0.0:
-                    if np.isinf(value):
-                        infinite = True
+            known = not use_circle or circle[row, column]
+            if known:
+                for channel in range(3):
+                    value = source[row, column, channel]
+                    if value >= np.float32(0.0) and value <= np.float32(HALF_MAX):
+                        target[row, column, channel] = float_to_half(value)
+                    elif np.isnan(value):
+                        nan = True
+                    elif value < np.float32(0.0):
+                        infinite |= np.isinf(value)
+                        negative |= not np.isinf(value)
+                        target[row, column, channel] = np.uint16(0)
                     else:
-                        negative = True
-                    value = np.float32(0.0)
-                elif value > 65504.0:
-                    if np.isinf(value):
-                        infinite = True
-                    else:
-                        above = True
-                    value = np.float32(65504.0)
-                target[row, column, channel] = value
-            if source.shape[2] == 4 and not source[row, column, 3] > 0.5:
-                valid = False
-            if nan or not valid:
+                        infinite |= np.isinf(value)
+                        above |= not np.isinf(value)
+                        target[row, column, channel] = np.uint16(_HALF_MAX_BITS)
                 # A pixel with one unknown channel is no measurement at all.
-                target[row, column, 0] = target[row, column, 1] = target[row, column, 2] = 0.0
-                target[row, column, 3] = 0.0
+                known = not nan and (num_channels == 3 or source[row, column, 3] > np.float32(0.5))
+            if known:
+                target[row, column, 3] = np.uint16(_HALF_ONE_BITS)
             else:
-                target[row, column, 3] = 1.0
+                for channel in range(4):
+                    target[row, column, channel] = np.uint16(0)
             counts[0] += nan
             counts[1] += infinite
             counts[2] += negative
@@ -94,11 +89,8 @@ def ingest_frame(
         raise CaptureError(f"frame of {pixels.dtype}, expected float32 or float16")
     if image_circle is not None and image_circle.shape != target.shape[:2]:
         raise CaptureError(f"image circle of shape {image_circle.shape}, expected {target.shape[:2]}")
-    # numba on x86 has no half arithmetic; whole-array conversions in numpy use the F16C instructions.
     raw = np.ascontiguousarray(pixels, dtype=np.float32)
-    clean = np.empty((*target.shape[:2], 4), np.float32)
     counts = np.zeros(len(INGEST_COUNTERS), np.uint64)
     circle = np.zeros((1, 1), np.bool_) if image_circle is None else image_circle
-    _clean_rows(raw, circle, image_circle is not None, clean, counts)
-    target[...] = clean
+    _clean_rows(raw, circle, image_circle is not None, as_uint16(target), counts)
     return dict(zip(INGEST_COUNTERS, counts.tolist(), strict=True))
