@@ -46,7 +46,7 @@ export const strings = {
     rate: 'Updates',
     frame: 'Frame time',
     scale: 'Resolution',
-    passes: 'Passes of the last frame',
+    passes: 'Passes',
     ran: (count: number) => `${count} run`,
     skipped: (count: number) => `${count} skipped`,
     unknown: '–',
