@@ -122,7 +122,7 @@ def ensure_prepared(
 ) -> Path:
     """Path of the prepared form of a model: itself if it is prepared, else from the cache, else prepared now into the cache.
 
-    The cache (`$XDG_CACHE_HOME/nearfield/prepared`) is keyed by the content of the file, preset, albedo and format, so an
+    The cache (`cache_folder`) is keyed by the content of the file, preset, albedo and format, so an
     edited model is prepared anew.
 
     Args:
@@ -156,7 +156,10 @@ def ensure_prepared(
 
 
 def cache_folder() -> Path:
-    """Where prepared models are kept."""
+    """Where prepared models are kept: `prepared` in `$NEARFIELD_CACHE_DIR`, else in the user's cache."""
+    chosen = os.environ.get("NEARFIELD_CACHE_DIR")
+    if chosen:
+        return Path(chosen) / "prepared"
     base = os.environ.get("XDG_CACHE_HOME")
     return (Path(base) if base else Path.home() / ".cache") / "nearfield" / "prepared"
 

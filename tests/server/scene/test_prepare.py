@@ -113,6 +113,7 @@ def test_albedo_and_preset_are_checked(sphere_path):
 
 
 def test_cache_is_keyed_by_content_and_survives_damage(sphere_path, tmp_path, monkeypatch):
+    monkeypatch.delenv("NEARFIELD_CACHE_DIR", raising=False)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     first = ensure_prepared(sphere_path, "preview")
     assert first.is_relative_to(tmp_path / "cache")
