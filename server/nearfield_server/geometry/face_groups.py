@@ -41,10 +41,16 @@ def _weld_length(mesh: RoomMesh) -> float:
     return _WELD * float(np.ptp(mesh.positions, axis=0).max())
 
 
+def welded_corners(mesh: RoomMesh) -> NDArray[np.int64]:
+    """(F, 3) int64 number of the point at each corner; corners of one position share it whatever their vertices."""
+    quantised = np.rint(mesh.positions / _weld_length(mesh)).astype(np.int64)
+    points = np.unique(quantised, axis=0, return_inverse=True)[1].reshape(-1)
+    return np.asarray(points[mesh.faces], dtype=np.int64)
+
+
 def _smooth_pairs(mesh: RoomMesh, normals: NDArray[np.float64]) -> NDArray[np.int64]:
     """(n, 2) pairs of triangles of one material across a shared edge that is not a crease."""
-    quantised = np.rint(mesh.positions / _weld_length(mesh)).astype(np.int64)
-    welded = np.unique(quantised, axis=0, return_inverse=True)[1].reshape(-1)[mesh.faces].astype(np.int64)
+    welded = welded_corners(mesh)
     edges = np.sort(np.concatenate([welded[:, [0, 1]], welded[:, [1, 2]], welded[:, [2, 0]]]), axis=1)
     face = np.tile(np.arange(len(mesh.faces)), 3)
     key = edges[:, 0] * (int(welded.max()) + 1) + edges[:, 1]

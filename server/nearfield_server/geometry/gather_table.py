@@ -1,7 +1,8 @@
 """The gather table: for each texel, which pixels of which cameras show it (Rohmer et al. 2014, section 4.1).
 
 Differs from the paper: visibility is exact (ray casting, not a depth map with a bias), and every tap is validated. A pixel
-takes part only when its whole 3x3 neighbourhood shows the texel's own surface. Otherwise the bright rim of a lamp bleeds
+takes part only when its whole 3x3 neighbourhood shows the texel's own surface and no visible border of a surface comes
+near. Otherwise the bright rim of a lamp bleeds
 onto whatever lies behind it in the picture, which is the largest error of a plain projection by far.
 
 Weights: the paper weighs by the angle to the camera's main axis. Here the weight is the number of pixels that the camera
@@ -23,6 +24,7 @@ from scipy.spatial import cKDTree
 from nearfield_server.errors import ConfigError
 from nearfield_server.geometry.camera_view import RoomRays, Sight, pixel_surfaces, visible_texels
 from nearfield_server.geometry.face_groups import face_groups
+from nearfield_server.geometry.silhouettes import boundary_edges, find_borders
 from nearfield_server.geometry.texels import face_normals
 from nearfield_server.records import CameraModel, GatherTable, RoomMesh, TexelGeometry, UnseenFill
 
@@ -64,6 +66,7 @@ def build_gather_table(
     rays = RoomRays(mesh)
     groups, normals = face_groups(mesh), face_normals(mesh)
     texel_groups, texel_normals = groups[texels.face], normals[texels.face]
+    edges = boundary_edges(mesh, groups)
     sights: list[Sight] = []
     pictures: list[NDArray[np.int32]] = []
     parts: list[_Pairs] = []
@@ -72,11 +75,11 @@ def build_gather_table(
             progress(f"camera {camera.camera_id}: sight lines", index / len(cameras))
         sight = visible_texels(rays, texels, texel_normals, camera)
         surfaces = _surface_picture(rays, groups, normals, camera)
+        borders = find_borders(rays, edges, groups, normals, camera)
+        usable = np.where(_uniform(surfaces) & ~borders.near, surfaces, -1)
         sights.append(sight)
-        pictures.append(surfaces)
-        parts.append(
-            _pairs(sight, texel_groups, np.where(_uniform(surfaces), surfaces, -1), camera, bilinear=True)
-        )
+        pictures.append(np.where(borders.touched, -1, surfaces))
+        parts.append(_pairs(sight, texel_groups, usable, camera, bilinear=True))
     seen = np.zeros(len(texels.face), dtype=np.bool_)
     for part in parts:
         seen[part.texel] = True
