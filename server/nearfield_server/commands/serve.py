@@ -53,6 +53,9 @@ def serve(
             min=0.0, help="Give simulated cameras a noisy sensor that saturates at this radiance, W/(sr m^2)."
         ),
     ] = None,
+    bus_port: Annotated[
+        int, typer.Option(min=0, max=65535, hidden=True, help="Port of the message bus.")
+    ] = 0,
 ) -> None:
     """Serve a room: cameras in, light and page out. Ctrl-C ends it."""
     if backend not in ("auto", "cpu", "gl", "reference"):
@@ -73,11 +76,14 @@ def serve(
             backend=backend,
             timeline=sequence,
             sensor=None if full_well is None else {"full_well_radiance": full_well},
+            bus_port=bus_port,
         )
     )
 
 
-def run_service(room: Path, *, port: int, lan: bool, allowed_hosts: list[str], **settings: Any) -> int:
+def run_service(
+    room: Path, *, port: int, lan: bool, allowed_hosts: list[str], bus_port: int = 0, **settings: Any
+) -> int:
     """Run a service until it ends and return its exit code.
 
     Raises:
@@ -92,7 +98,7 @@ def run_service(room: Path, *, port: int, lan: bool, allowed_hosts: list[str], *
             room_path=str(room.resolve()),
             host="0.0.0.0" if lan else "127.0.0.1",
             port=port,
-            bus_port=free_loopback_port(),
+            bus_port=bus_port or free_loopback_port(),
             launcher_pid=0,
             gateway={"lan": lan, "allowed_hosts": allowed_hosts},
             **settings,
