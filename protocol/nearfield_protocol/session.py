@@ -81,7 +81,8 @@ class LightOffer:
         self.sequence = packet.sequence
         self.timestamp_ns = packet.timestamp_ns
         self.room_revision = packet.room_revision
-        self._encoded = {Encoding(data[28]): bytes(data)}
+        self.data = bytes(data)
+        self._encoded = {Encoding(data[28]): self.data}
 
     def encoded(self, encoding: Encoding) -> bytes:
         """The bytes in this encoding."""
@@ -104,7 +105,7 @@ class SessionLimits:
     control_queue: int = 64
     control_rate: float = 20.0
     control_burst: float = 40.0
-    ack_timeout: float = 10.0
+    ack_timeout: float = 8.0
     tiles_per_message: int = 4
 
 
