@@ -140,7 +140,7 @@ def run_light(
         for name in names
     }
     stage_ms |= {"update": float(np.median(walls[1:])), "skipped_update": skipped, "first_update": walls[0]}
-    data = PacketWriter.for_room(mesh, 0).write(update, _poses(objects, TIMED_UPDATES))
+    data = PacketWriter.for_room(mesh, 0).write(update, _poses(objects, 0))
     return LightRun(
         packet=decode_light_packet(data),
         packet_bytes=data,
