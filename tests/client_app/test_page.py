@@ -268,3 +268,55 @@ def _on_screen(page: Page, pose: list[float]) -> tuple[float, float]:
     assert box is not None
     pixel = 600 * x / z + 479.5, 600 * y / z + 269.5
     return box["x"] + (pixel[0] + 0.5) / 960 * box["width"], box["y"] + (pixel[1] + 0.5) / 540 * box["height"]
+
+
+class Fingers:
+    """Touches at these points (CSS pixels); one session, since touches belong to it."""
+
+    def __init__(self, page: Page) -> None:
+        self._session = page.context.new_cdp_session(page)
+
+    def __call__(self, kind: str, *points: tuple[float, float]) -> None:
+        touches = [{"x": x, "y": y, "id": i} for i, (x, y) in enumerate(points)]
+        self._session.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": touches})
+
+
+def test_two_fingers_turn_the_object_that_the_first_one_holds(gateway, open_page) -> None:
+    opened = open_page(gateway.url)
+    opened.wait_for("s.connection === 'live'")
+    page = opened.page
+    x, y = _on_screen(page, opened.state()["objectPoses"][0])
+    touch = Fingers(page)
+    touch("touchStart", (x, y))
+    touch("touchStart", (x, y), (x + 80, y))
+    for degrees in (10, 20, 30):
+        angle = np.deg2rad(degrees)
+        touch("touchMove", (x, y), (x + 80 * np.cos(angle), y + 80 * np.sin(angle)))
+    touch("touchEnd")
+    pose = opened.state()["objectPoses"][0]
+    # Clockwise on the screen is clockwise seen from above: a negative turn about +y.
+    assert np.rad2deg(np.arctan2(pose[2], pose[0])) == pytest.approx(-30, abs=1.0)
+    assert pose[3] == pytest.approx(1.5)
+    assert opened.complaints == []
+
+
+def test_free_camera_orbits_by_finger_and_stays_in_the_room(gateway, open_page) -> None:
+    opened = open_page(gateway.url)
+    opened.wait_for("s.connection === 'live'")
+    page = opened.page
+    page.keyboard.press("Tab")
+    page.get_by_role("radio", name="Free orbit").check(force=True)
+    before = opened.state()["worldFromCamera"]
+    touch = Fingers(page)
+    touch("touchStart", (200, 300))
+    for step in range(1, 6):
+        touch("touchMove", (200 + 60 * step, 300))
+    touch("touchEnd")
+    page.wait_for_timeout(300)
+    after = opened.state()["worldFromCamera"]
+    assert np.linalg.norm(np.subtract(after, before)) > 0.2
+    eye = np.array(after)[[3, 7, 11]]
+    assert (eye > 0).all()
+    assert (eye < (4, 2.5, 4)).all()
+    # A finger on the room moves no object.
+    assert opened.state()["objectPoses"][0][3] == 1.5

@@ -30,6 +30,8 @@ export interface NearfieldState {
   readonly packetBytes: number
   readonly weights: readonly number[]
   readonly view: ViewChoice
+  /** Row-major 4x4, OpenCV axes. */
+  readonly worldFromCamera: readonly number[]
   readonly exposure: number
   readonly selectedObject: number
   /** Row-major 4x4 per object. */
@@ -65,7 +67,7 @@ export function createTestApi(starting: Promise<Viewer>, platform: Platform): Ne
     ready,
     state: () => stateOf(running()),
     renderViewComposite: async (viewIndex) => {
-      const { width, height, rgba } = running().renderViewComposite(viewIndex)
+      const { width, height, rgba } = await running().renderViewComposite(viewIndex)
       return { width, height, data: await toBase64(rgba) }
     },
     setLightWeight: (lightIndex, weight) => running().setLightWeight(lightIndex, weight),
@@ -96,6 +98,7 @@ function stateOf(viewer: Viewer): NearfieldState {
     packetBytes: feed.packetBytes,
     weights: viewer.weights,
     view: viewer.camera.view,
+    worldFromCamera: rowMajorOf(viewer.camera.worldFromCamera()),
     exposure: viewer.picture.exposure,
     selectedObject: viewer.objects.selected,
     objectPoses: viewer.scene.objects.map((each) => rowMajorOf(viewer.objects.pose(each.index))),

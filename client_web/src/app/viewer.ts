@@ -29,6 +29,9 @@ const SEND_INTERVAL_MS = 67
 /** How long the server's echo of an own message may take. */
 const SETTLE_MS = 600
 const FRAME_MS_SMOOTHING = 0.1
+const COMPOSITE_TIMEOUT_MS = 120_000
+/** After so many unfinished frames the exposure is measured all the same. */
+const EXPOSURE_PATIENCE = 90
 
 type ControlKey = `light ${number}` | `object ${number}`
 type ControlValue = number | PoseParts
@@ -64,6 +67,7 @@ export class Viewer implements ShellActions {
   #exposureDue: boolean
   #report: FrameReport = { passes: [], cpuMs: 0, pending: false }
   #frameMs: number | null = null
+  #unfinishedFrames = 0
   #size = { width: 0, height: 0 }
 
   constructor(
@@ -248,7 +252,9 @@ export class Viewer implements ShellActions {
    *
    * @returns linear radiance, 4 floats per pixel, row 0 on top.
    */
-  renderViewComposite(viewIndex: number): { width: number; height: number; rgba: Float32Array } {
+  async renderViewComposite(
+    viewIndex: number,
+  ): Promise<{ width: number; height: number; rgba: Float32Array }> {
     const view = this.scene.views[viewIndex]
     if (!view) {
       throw new RangeError(`view ${viewIndex}: expected 0 to ${this.scene.views.length - 1}`)
@@ -258,7 +264,7 @@ export class Viewer implements ShellActions {
     this.#renderer.setSize(view.width, view.height)
     this.#renderer.setCamera({ kind: 'tablet', viewIndex })
     this.#takeFrameLight(performance.now())
-    this.#report = this.#renderUntilDone()
+    this.#report = await this.#renderUntilDone()
     const rgba = this.#renderer.readComposite()
     this.#renderer.setOptions({ fullQuality: this.#options.evaluate })
     if (!this.#options.evaluate) {
@@ -269,15 +275,17 @@ export class Viewer implements ShellActions {
     return { width: view.width, height: view.height, rgba }
   }
 
-  #renderUntilDone(): FrameReport {
-    // One slice of shadow maps per frame at worst; more frames than slots would be a renderer that never ends.
-    for (let i = 0; i < 256; i++) {
+  async #renderUntilDone(): Promise<FrameReport> {
+    const start = performance.now()
+    while (performance.now() - start < COMPOSITE_TIMEOUT_MS) {
       const report = this.#renderer.render(performance.now())
       if (!report.pending) {
         return report
       }
+      // Pictures may still be on their way; let them arrive.
+      await new Promise((resolve) => window.setTimeout(resolve, 0))
     }
-    throw new Error('The renderer did not finish the picture within 256 frames.')
+    throw new Error(`The renderer did not finish the picture within ${COMPOSITE_TIMEOUT_MS / 1000} s.`)
   }
 
   #draw(nowMs: number, sinceLastMs: number | null): boolean {
@@ -299,7 +307,8 @@ export class Viewer implements ShellActions {
     this.#takeFrameLight(performance.now())
     this.#report = this.#renderer.render(nowMs)
     this.feed.settle()
-    if (this.#exposureDue) {
+    this.#unfinishedFrames = this.#report.pending ? this.#unfinishedFrames + 1 : 0
+    if (this.#exposureDue && (!this.#report.pending || this.#unfinishedFrames > EXPOSURE_PATIENCE)) {
       this.#measureExposure()
     }
     return isMoving || this.feed.fading || this.#report.pending

@@ -1,6 +1,7 @@
 import * as fc from 'fast-check'
 import { describe, expect, it } from 'vitest'
-import { FLOATS_PER_VAL, type LightFrame, type LightInput, LightState, MAX_SHOWN_VALS } from './lightState'
+import { type LightFrame, type LightInput, LightState, MAX_SHOWN_VALS } from './lightState'
+import { FLOATS_PER_VAL } from './valLayout'
 
 interface Val {
   position?: [number, number, number]

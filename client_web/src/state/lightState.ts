@@ -6,13 +6,10 @@
  * is linear in time. No array is allocated per frame.
  */
 
-/** Floats per slot: position 3, area, normal 3, 0, radiant intensity 3, 0, 0 0 0 0. */
-export const FLOATS_PER_VAL = 16
+import { at, copyPlace, FLOATS_PER_VAL, INTENSITY, isLit, mix, mixVal, NORMAL } from './valLayout'
+
 /** Most lights on the screen, fading ones included: the renderer keeps one shadow tile for each. */
 export const MAX_SHOWN_VALS = 64
-
-const NORMAL = 4
-const INTENSITY = 8
 
 const FREE = -1
 const FADING_OUT = -2
@@ -165,7 +162,7 @@ export class LightState {
       if (this.#packetSlot[shown] === FREE) {
         continue
       }
-      this.#mix(shown, amount, this.#scratch)
+      mixVal(this.#from, this.#to, shown * FLOATS_PER_VAL, amount, this.#scratch)
       count = shown + 1
       changed = this.#deliver(shown) || changed
     }
@@ -249,7 +246,7 @@ export class LightState {
   /** Makes what is shown now the start of the next cross-fade. */
   #freeze(amount: number): void {
     for (let shown = 0; shown < MAX_SHOWN_VALS; shown++) {
-      this.#mix(shown, amount, this.#scratch)
+      mixVal(this.#from, this.#to, shown * FLOATS_PER_VAL, amount, this.#scratch)
       this.#from.set(this.#scratch, shown * FLOATS_PER_VAL)
       if (this.#packetSlot[shown] === ORPHANED) {
         this.#fadeOut(shown)
@@ -361,23 +358,6 @@ export class LightState {
     }
   }
 
-  /** Writes the state of one shown slot; both ends of the fade are exact. */
-  #mix(shown: number, amount: number, out: Float32Array): void {
-    const base = shown * FLOATS_PER_VAL
-    for (let i = 0; i < FLOATS_PER_VAL; i++) {
-      out[i] = mix(at(this.#from, base + i), at(this.#to, base + i), amount)
-    }
-    if (amount <= 0 || amount >= 1 || sameNormal(this.#from, this.#to, base)) {
-      return
-    }
-    const length = Math.hypot(at(out, NORMAL), at(out, NORMAL + 1), at(out, NORMAL + 2))
-    for (let axis = 0; axis < 3; axis++) {
-      // Opposite normals have no direction between them.
-      out[NORMAL + axis] =
-        length < 1e-3 ? at(this.#to, base + NORMAL + axis) : at(out, NORMAL + axis) / length
-    }
-  }
-
   /** Copies the scratch slot to the frame and notes what differs. */
   #deliver(shown: number): boolean {
     const frame = this.#frame
@@ -423,34 +403,5 @@ export class LightState {
       }
     }
     return count
-  }
-}
-
-function at(values: Float32Array | Int16Array | Uint8Array, index: number): number {
-  return values[index] as number
-}
-
-function mix(from: number, to: number, amount: number): number {
-  if (amount <= 0) {
-    return from
-  }
-  return amount >= 1 ? to : (1 - amount) * from + amount * to
-}
-
-function isLit(values: Float32Array, offset: number): boolean {
-  return values[offset] !== 0 || values[offset + 1] !== 0 || values[offset + 2] !== 0
-}
-
-function sameNormal(from: Float32Array, to: Float32Array, base: number): boolean {
-  return (
-    from[base + NORMAL] === to[base + NORMAL] &&
-    from[base + NORMAL + 1] === to[base + NORMAL + 1] &&
-    from[base + NORMAL + 2] === to[base + NORMAL + 2]
-  )
-}
-
-function copyPlace(source: Float32Array, target: Float32Array, base: number): void {
-  for (let i = 0; i < INTENSITY; i++) {
-    target[base + i] = at(source, base + i)
   }
 }

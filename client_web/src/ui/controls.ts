@@ -101,6 +101,8 @@ export function slider(
 export interface Choice {
   readonly long: string
   readonly short: string
+  /** For narrow screens. */
+  readonly tiny: string
 }
 
 export interface Segmented {
@@ -130,7 +132,12 @@ export function segmented(
       'label',
       { className: 'segment' },
       inputs[index] as HTMLInputElement,
-      element('span', { className: 'segment-text' }, choice.short),
+      element(
+        'span',
+        { className: 'segment-text' },
+        element('span', { className: 'if-wide' }, choice.short),
+        element('span', { className: 'if-narrow' }, choice.tiny),
+      ),
     ),
   )
   return {

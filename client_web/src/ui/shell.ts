@@ -90,9 +90,10 @@ export class SceneControls {
       [
         ...scene.views.map((view) => ({
           short: strings.views.tablet(view.index + 1),
+          tiny: String(view.index + 1),
           long: strings.views.tabletLong(view.index + 1),
         })),
-        { short: strings.views.free, long: strings.views.freeLong },
+        { short: strings.views.free, tiny: strings.views.free, long: strings.views.freeLong },
       ],
       (index) => actions.selectView(index < this.#numViews ? index : 'free'),
     )
