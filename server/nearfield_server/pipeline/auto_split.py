@@ -94,8 +94,8 @@ def _levels(histogram: NDArray[np.int64], scaled_area: float) -> _Levels | None:
     used = np.flatnonzero(energy)
     if used.size == 0:
         return None
-    # The lowest level is never wholly cut off from the padding: one empty level below it suffices.
-    first, last = max(int(used[0]) - _GAP, 0), int(used[-1]) + _GAP + 1
+    # Room for a whole empty gap below the lowest level: in a black room the sources are all there is.
+    first, last = max(int(used[0]) - 2 * _GAP, 0), int(used[-1]) + _GAP + 1
     energy = energy[first:last]
     level = np.arange(first, last, dtype=np.uint32)
     radiance = (level << np.uint32(19)).view(np.float32).astype(np.float64)
@@ -109,7 +109,7 @@ def _levels(histogram: NDArray[np.int64], scaled_area: float) -> _Levels | None:
     area_above = np.cumsum(area[::-1])[::-1]
     cut = np.arange(level.size)
     gap = below[np.minimum(cut + _GAP, level.size)] - below[np.maximum(cut - _GAP, 0)]
-    tiny = np.finfo(np.float64).tiny
+    tiny = 1e-12  # far below any share that counts, and its inverse still multiplies
     contrast = (energy_above / np.maximum(area_above, tiny)) * (
         np.maximum(1.0 - area_above, 0.0) / np.maximum(1.0 - energy_above, tiny)
     )

@@ -125,7 +125,7 @@ class _Work:
         """Give a slot to the light at a sample."""
         self.centres[slot] = self.points[sample]
         self.alive[slot] = True
-        self.generation[slot] += np.uint8(1)
+        self.generation[slot] = (int(self.generation[slot]) + 1) & 255
         distance = np.sum((self.points - self.centres[slot]) ** 2, axis=1)
         closer = distance < self.nearest
         self.second = np.where(closer, self.nearest, np.minimum(self.second, distance))
@@ -172,7 +172,7 @@ class _Work:
             before = float(self.nearest.mean())
             saved = (self.centres.copy(), self.alive.copy(), self.generation.copy())
             self.centres[slot] = self.points[sample]
-            self.generation[slot] += np.uint8(1)
+            self.generation[slot] = (int(self.generation[slot]) + 1) & 255
             self.assign()
             if self.lloyd(iterations) >= before:
                 self.centres, self.alive, self.generation = saved

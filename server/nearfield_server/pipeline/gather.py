@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from nearfield_server.errors import ConfigError
 from nearfield_server.pipeline.blocks import BLOCK, FASTMATH, BlockPool
-from nearfield_server.radiometry.half import accumulate_taps, prefetch
+from nearfield_server.radiometry.half import FRACTION_STEPS, accumulate_taps, prefetch
 from nearfield_server.records import GatherTable
 
 _CAMERA_SHIFT: Final = 60
@@ -57,10 +57,10 @@ def pack_gather_table(table: GatherTable) -> PackedTable:
     shapes = table.camera_shapes
     if len(shapes) > MAX_CAMERAS:
         raise ConfigError(f"the room has {len(shapes)} cameras, at most {MAX_CAMERAS} are supported")
-    for index, (height, width) in enumerate(shapes):
-        if height < 2 or width < 2 or height * width > _PIXEL_MASK:
+    for index, shape in enumerate(shapes):
+        if min(shape) < 2 or shape[0] * shape[1] > _PIXEL_MASK:
             raise ConfigError(
-                f"camera {index} delivers {width}x{height} pixels; expected 2x2 up to 2^28 pixels"
+                f"camera {index} delivers {shape[1]}x{shape[0]} pixels; expected 2x2 up to 2^28 pixels"
             )
     counts = np.diff(table.pair_start)
     if counts.size and (counts.min() < 0 or counts.max() > 255):
@@ -77,11 +77,14 @@ def pack_gather_table(table: GatherTable) -> PackedTable:
     row, column = np.divmod(table.pixel.astype(np.int64), np.maximum(width, 1))
     if np.any(row >= height):
         raise ConfigError("gather table names pixels outside the camera picture; rebuild the table")
-    fraction_x = np.rint(table.fraction_x.astype(np.float64) * 255.0).astype(np.int64)
-    fraction_y = np.rint(table.fraction_y.astype(np.float64) * 255.0).astype(np.int64)
+    fraction_x = np.rint(table.fraction_x.astype(np.float64) * FRACTION_STEPS).astype(np.int64)
+    fraction_y = np.rint(table.fraction_y.astype(np.float64) * FRACTION_STEPS).astype(np.int64)
     last_column, last_row = column == width - 1, row == height - 1
-    column, fraction_x = np.where(last_column, column - 1, column), np.where(last_column, 255, fraction_x)
-    row, fraction_y = np.where(last_row, row - 1, row), np.where(last_row, 255, fraction_y)
+    column, fraction_x = (
+        np.where(last_column, column - 1, column),
+        np.where(last_column, FRACTION_STEPS, fraction_x),
+    )
+    row, fraction_y = np.where(last_row, row - 1, row), np.where(last_row, FRACTION_STEPS, fraction_y)
     weight = np.clip(np.rint(table.weight.astype(np.float64) * 65535.0), 1, 65535).astype(np.int64)
     pairs = camera.astype(np.uint64) << np.uint64(_CAMERA_SHIFT)
     pairs |= (row * width + column).astype(np.uint64) << np.uint64(_PIXEL_SHIFT)
@@ -133,7 +136,6 @@ def _gather_blocks(
     radiance: Any,
     block_max: Any,
 ) -> None:
-    unit = np.float32(1.0 / 255.0)
     for block in range(first, last):
         k = block_pair_start[block]
         high0, high1, high2 = np.float32(0.0), np.float32(0.0), np.float32(0.0)
@@ -152,8 +154,8 @@ def _gather_blocks(
                 if base != 0:
                     row0 = base + (np.int64(pair >> np.uint64(_PIXEL_SHIFT)) & _PIXEL_MASK) * _PIXEL_BYTES
                     low = np.uint32(pair & np.uint64(0xFFFFFFFF))
-                    fraction_x = np.float32(low >> np.uint32(24)) * unit
-                    fraction_y = np.float32((low >> np.uint32(16)) & np.uint32(255)) * unit
+                    fraction_x = np.float32(low >> np.uint32(24))
+                    fraction_y = np.float32((low >> np.uint32(16)) & np.uint32(255))
                     weight = np.float32(low & np.uint32(0xFFFF))
                     total = accumulate_taps(
                         row0, row0 + stride[camera], fraction_x, fraction_y, weight, total

@@ -15,6 +15,8 @@ from numba.extending import intrinsic
 from numpy.typing import NDArray
 
 HALF_MAX: Final = 65504.0
+FRACTION_STEPS: Final = 255
+"""Bilinear fractions are stored as whole numbers of 1 / 255."""
 
 _F32: Final = ir.FloatType()
 _HALF: Final = ir.HalfType()
@@ -104,7 +106,8 @@ def accumulate_taps(
 
     Args of the call in a kernel:
         row0, row1: int64 addresses of the left pixels of the two rows; 16 bytes are read at each.
-        fraction_x, fraction_y, weight: float32.
+        fraction_x, fraction_y: float32 in steps, 0 to FRACTION_STEPS; whole numbers keep `1 - fraction` exact.
+        weight: float32.
         total: 4 float32. Invalid pixels (alpha 0) add nothing; divide colour by the last component at the end.
     """
     quad = types.UniTuple(types.float32, 4)
@@ -115,13 +118,14 @@ def accumulate_taps(
         lower = _load_row(builder, address1)
         # (1 - y) upper + y lower, not upper + y (lower - upper): a fraction of exactly 1 must leave nothing of a
         # bright upper pixel behind.
-        rest = builder.fsub(ir.Constant(_F32, 1.0), y)
+        steps = ir.Constant(_F32, float(FRACTION_STEPS))
+        rest = builder.fsub(steps, y)
         rows = builder.fadd(
             builder.fmul(_splat(builder, rest, _F32X8), upper),
             builder.fmul(_splat(builder, y, _F32X8), lower),
         )
         right = builder.fmul(x, pair_weight)
-        left = builder.fsub(pair_weight, right)
+        left = builder.fmul(builder.fsub(steps, x), pair_weight)
         first = ir.Constant(ir.VectorType(_I32, 4), [0, 1, 2, 3])
         second = ir.Constant(ir.VectorType(_I32, 4), [4, 5, 6, 7])
         blended = builder.fadd(

@@ -1,0 +1,110 @@
+import numpy as np
+import pytest
+
+from nearfield_server.pipeline.auto_split import auto_threshold
+from nearfield_server.pipeline.blocks import BlockPool
+from nearfield_server.pipeline.split import fixed_point_scale, radiance_histogram
+
+
+def _auto(
+    radiance: np.ndarray, area: np.ndarray, pool: BlockPool, previous: np.ndarray | None = None
+) -> np.ndarray:
+    total_area = float(area.sum(dtype=np.float64))
+    scale = fixed_point_scale(float(radiance.max(initial=0.0)), total_area)
+    histogram = radiance_histogram(radiance, area, scale, -(-area.size // 64), pool)
+    return auto_threshold(histogram, scale, total_area, previous)
+
+
+def _room(lamps: list[tuple[float, float]], seed: int = 1) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Walls that shade smoothly over a decade, and lamps (radiance, share of the area). Returns also the lamp number."""
+    rng = np.random.default_rng(seed)
+    count = 20000
+    lamp = np.full(count, -1)
+    radiance = np.exp(rng.normal(0.0, 0.5, count)).clip(0.2, 4.0)
+    start = 0
+    for index, (value, share) in enumerate(lamps):
+        members = slice(start, start + int(share * count))
+        lamp[members] = index
+        radiance[members] = value
+        start = members.stop
+    return (
+        np.repeat(radiance[:, None], 3, axis=1).astype(np.float32),
+        np.full(count, 1e-3, dtype=np.float32),
+        lamp,
+    )
+
+
+@pytest.mark.parametrize(
+    "lamps",
+    [[(50.0, 0.005)], [(50.0, 0.005), (12.0, 0.02)], [(3000.0, 0.0002), (100.0, 0.003), (15.0, 0.03)]],
+)
+def test_lamps_are_direct_and_walls_are_not(lamps: list[tuple[float, float]], pool: BlockPool) -> None:
+    radiance, area, lamp = _room(lamps)
+    direct = radiance >= _auto(radiance, area, pool)
+    np.testing.assert_array_equal(direct, np.repeat((lamp >= 0)[:, None], 3, axis=1))
+
+
+def test_a_room_without_a_source_has_no_direct_light(pool: BlockPool) -> None:
+    radiance, area, _ = _room([])
+    assert np.isinf(_auto(radiance, area, pool)).all()
+
+
+def test_a_luminous_ceiling_stays_indirect(pool: BlockPool) -> None:
+    radiance, area, _ = _room([(30.0, 0.2)])
+    assert np.isinf(_auto(radiance, area, pool)).all()
+
+
+def test_a_lamp_in_a_black_room_is_direct(pool: BlockPool) -> None:
+    radiance = np.zeros((5000, 3), dtype=np.float32)
+    radiance[100:110] = 5.0
+    threshold = _auto(radiance, np.full(5000, 1e-3, dtype=np.float32), pool)
+    assert ((threshold > 0.0) & (threshold <= 5.0)).all()
+
+
+@pytest.mark.parametrize("value", [0.0, 1.0, 65504.0, 1e-7])
+def test_one_radiance_everywhere_is_indirect(value: float, pool: BlockPool) -> None:
+    for count in (1, 1000):
+        radiance = np.full((count, 3), value, dtype=np.float32)
+        assert np.isinf(_auto(radiance, np.full(count, 1e-3, dtype=np.float32), pool)).all()
+
+
+def test_channels_are_judged_one_by_one(pool: BlockPool) -> None:
+    radiance, area, lamp = _room([(50.0, 0.005)])
+    radiance[lamp == 0, 1:] = 1.0  # a red lamp
+    threshold = _auto(radiance, area, pool)
+    assert np.isfinite(threshold[0])
+    assert np.isinf(threshold[1:]).all()
+
+
+def test_scales_with_the_light(pool: BlockPool) -> None:
+    radiance, area, _ = _room([(50.0, 0.005)])
+    threshold = _auto(radiance, area, pool)
+    np.testing.assert_array_equal(
+        _auto(radiance * np.float32(2.0**-10), area, pool), threshold * np.float32(2.0**-10)
+    )
+
+
+def test_noise_moves_nothing(pool: BlockPool) -> None:
+    radiance, area, _ = _room([(50.0, 0.005), (9.0, 0.03)])
+    threshold = _auto(radiance, area, pool)
+    direct = radiance >= threshold
+    rng = np.random.default_rng(2)
+    for _ in range(20):
+        noisy = (radiance * rng.normal(1.0, 0.01, radiance.shape)).astype(np.float32)
+        found = _auto(noisy, area, pool, threshold)
+        np.testing.assert_array_equal(found, threshold)
+        np.testing.assert_array_equal(noisy >= found, direct)
+
+
+def test_a_new_dimmer_lamp_lowers_the_threshold(pool: BlockPool) -> None:
+    before, area, _ = _room([(80.0, 0.005)])
+    previous = _auto(before, area, pool)
+    after, _, lamp = _room([(80.0, 0.005), (12.0, 0.02)])
+    direct = after[:, 0] >= _auto(after, area, pool, previous)[0]
+    np.testing.assert_array_equal(direct, lamp >= 0)
+
+
+def test_switching_off_forgets_the_threshold(pool: BlockPool) -> None:
+    before, area, _ = _room([(80.0, 0.005)])
+    previous = _auto(before, area, pool)
+    assert np.isinf(_auto(_room([])[0], area, pool, previous)).all()
