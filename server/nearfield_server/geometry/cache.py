@@ -18,6 +18,7 @@ from typing import Any, TypeVar
 import numpy as np
 import structlog
 
+from nearfield_server.errors import AssetError
 from nearfield_server.geometry.gather_table import build_gather_table, find_unseen_fill
 from nearfield_server.geometry.texels import rasterise_texels
 from nearfield_server.records import GatherTable, RoomMesh, TexelGeometry, UnseenFill
@@ -64,6 +65,8 @@ def load_or_build(
     folder = cache_dir if cache_dir is not None else default_cache_dir()
     report = progress if progress is not None else _ignore
     report("room model", 0.0)
+    if not room.model_path.is_file():
+        raise AssetError(f"{room.model_path}: no such file.")
     key = hashlib.sha256(f"{_FORMAT} {room.atlas_size} {rasteriser}".encode() + room.model_path.read_bytes())
     mesh_file = folder / f"mesh-{key.hexdigest()[:32]}.npz"
     texel_file = folder / f"texels-{key.hexdigest()[:32]}.npz"
@@ -121,7 +124,7 @@ def _save(path: Path, record: _Record) -> _Record:
 def _load(path: Path, record_type: type[_Record]) -> _Record | None:
     """Read a record, or None when it is not there or broken (it is then built again)."""
     try:
-        with np.load(path, allow_pickle=False) as stored:
+        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as stored:
             values: dict[str, Any] = {field.name: stored[field.name] for field in fields(record_type)}
     except FileNotFoundError:
         return None

@@ -49,6 +49,7 @@ def cover_texels_gl(
     drawing.render(context.gl.TRIANGLES)
     context.check("atlas raster")
     values = np.frombuffer(target.read(), dtype=np.float32).reshape(height, width)
+    context.leave_framebuffer()
     for item in (drawing, indices, vertices, framebuffer, target, program):
         item.release()
     return np.rint(values).astype(np.int32)

@@ -38,6 +38,7 @@ class GlContext:
         self._is_released = False
         self.renderer = str(context.info["GL_RENDERER"])
         self.is_software = any(name in self.renderer.lower() for name in _SOFTWARE_RENDERERS)
+        self._idle: Any = self.framebuffer([self.texture(1, 1, 4, "f1")])
 
     @property
     def gl(self) -> Any:
@@ -101,6 +102,10 @@ class GlContext:
             return self.gl.framebuffer(colours, depth)
 
         return self._allocate("frame buffer", create)
+
+    def leave_framebuffer(self) -> None:
+        """Bind a spare 1x1 frame buffer. To be called before the one in use is released: moderngl would bind it again."""
+        self._idle.use()
 
     def storage_barrier(self) -> None:
         """Make shader storage writes visible to what follows, reading back included."""

@@ -109,6 +109,7 @@ class TexelIdCubes:
 
     def release(self) -> None:
         """Free the GPU objects."""
+        self._context.leave_framebuffer()
         for item in (
             self._drawing, self._indices, self._vertices, self._framebuffer, self._target, self._ids, self._program,
         ):  # fmt: skip

@@ -1,0 +1,110 @@
+from __future__ import annotations
+
+from dataclasses import fields, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from structlog.testing import capture_logs
+
+from nearfield_server.errors import AssetError
+from nearfield_server.geometry import cache
+from nearfield_server.records import CameraModel, LightSettings, RoomMesh
+from nearfield_server.scene.room_config import RoomConfig
+from nearfield_server.scene.room_model import export_room_glb
+
+
+@pytest.fixture
+def room(tmp_path: Path, furnished_room: RoomMesh, cameras: tuple[CameraModel, ...]) -> RoomConfig:
+    export_room_glb(furnished_room, tmp_path / "room.glb")
+    return RoomConfig(
+        name="test",
+        folder=tmp_path,
+        model_path=tmp_path / "room.glb",
+        cameras=cameras[1:],
+        sources=(),
+        objects=(),
+        views=(),
+        lights=(),
+        light=LightSettings(),
+        atlas_size=240,
+        frame_rate=30.0,
+    )
+
+
+def assert_equal(first: cache.Geometry, second: cache.Geometry) -> None:
+    for one, other in zip(first, second, strict=True):
+        for field in fields(one):
+            value, expected = getattr(one, field.name), getattr(other, field.name)
+            if isinstance(expected, np.ndarray):
+                assert value.dtype == expected.dtype
+                np.testing.assert_array_equal(value, expected)
+            else:
+                assert value == expected
+                assert type(value) is type(expected)
+
+
+def test_second_start_reads_what_the_first_built(
+    room: RoomConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    built = cache.load_or_build(room, cache_dir=tmp_path / "cache")
+    assert len(list((tmp_path / "cache").iterdir())) == 4
+    for name in ("load_room_mesh", "rasterise_texels", "build_gather_table"):
+        monkeypatch.delattr(cache, name)
+    parts: list[float] = []
+    assert_equal(
+        cache.load_or_build(room, cache_dir=tmp_path / "cache", progress=lambda text, p: parts.append(p)),
+        built,
+    )
+    assert parts[-1] == 1.0
+
+
+def test_anything_that_matters_changes_the_key(room: RoomConfig, tmp_path: Path) -> None:
+    folder = tmp_path / "cache"
+    cache.load_or_build(room, cache_dir=folder)
+    pose = room.cameras[0].world_from_camera.copy()
+    pose[0, 3] -= 0.001
+    moved = replace(room, cameras=(replace(room.cameras[0], world_from_camera=pose),))
+    cache.load_or_build(moved, cache_dir=folder)
+    # Mesh and texels do not depend on the cameras.
+    assert len(list(folder.iterdir())) == 6
+    cache.load_or_build(replace(room, atlas_size=256), cache_dir=folder)
+    assert len(list(folder.iterdir())) == 10
+
+
+@pytest.mark.parametrize("damage", ["truncate", "empty", "garbage"])
+def test_broken_entries_are_built_again(room: RoomConfig, tmp_path: Path, damage: str) -> None:
+    folder = tmp_path / "cache"
+    built = cache.load_or_build(room, cache_dir=folder)
+    for file in folder.iterdir():
+        data = file.read_bytes()
+        file.write_bytes({"truncate": data[: len(data) // 2], "empty": b"", "garbage": b"no archive"}[damage])
+    with capture_logs() as logs:
+        assert_equal(cache.load_or_build(room, cache_dir=folder), built)
+    assert len(logs) == 4
+    assert_equal(cache.load_or_build(room, cache_dir=folder), built)
+
+
+def test_unwritable_folder_costs_only_time(room: RoomConfig, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("in the way")
+    with capture_logs() as logs:
+        cache.load_or_build(room, cache_dir=tmp_path / "file")
+    assert {log["event"] for log in logs} >= {"geometry cache not written"}
+
+
+def test_no_temporary_files_stay(room: RoomConfig, tmp_path: Path) -> None:
+    cache.load_or_build(room, cache_dir=tmp_path / "cache")
+    assert not list((tmp_path / "cache").glob("*.tmp"))
+
+
+def test_missing_model_is_an_asset_error(room: RoomConfig, tmp_path: Path) -> None:
+    with pytest.raises(AssetError, match="no such file"):
+        cache.load_or_build(replace(room, model_path=tmp_path / "none.glb"), cache_dir=tmp_path / "cache")
+
+
+def test_folder_comes_from_the_environment(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.delenv("NEARFIELD_CACHE_DIR", raising=False)
+    assert cache.default_cache_dir() == tmp_path / "nearfield"
+    monkeypatch.setenv("NEARFIELD_CACHE_DIR", str(tmp_path / "own"))
+    assert cache.default_cache_dir() == tmp_path / "own"
