@@ -2,7 +2,7 @@
 import type { Shell } from '../ui/shell'
 import { strings } from '../ui/strings'
 import type { ConnectionState } from './ports'
-import { describeConnection, type Viewer } from './viewer'
+import type { Viewer } from './viewer'
 
 const REFRESH_MS = 250
 
@@ -68,5 +68,21 @@ export class StatusDisplay {
       height: numbers.height,
       passes: report.passes,
     })
+  }
+}
+
+/** Words for the state of a connection. */
+function describeConnection(state: ConnectionState): string {
+  switch (state.kind) {
+    case 'connecting':
+      return strings.connection.connecting
+    case 'live':
+      return strings.connection.live
+    case 'waiting':
+      return state.retryMs >= 1000
+        ? strings.connection.retryIn(Math.round(state.retryMs / 1000))
+        : strings.connection.reconnecting
+    case 'closed':
+      return strings.connection.closed
   }
 }

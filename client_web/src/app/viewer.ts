@@ -7,7 +7,6 @@ import type { ControlState, LightPacket } from '../protocol/codec'
 import type { SceneDescription } from '../state/sceneDescription'
 import type { PictureSettings } from '../ui/picturePanel'
 import type { SceneControls, Shell, ShellActions, ViewChoice } from '../ui/shell'
-import { strings } from '../ui/strings'
 import { CameraControl } from './cameraControl'
 import { suitableExposure } from './exposure'
 import { FrameLoop } from './frameLoop'
@@ -384,21 +383,5 @@ export class Viewer implements ShellActions {
     } else {
       this.#connection?.setObjectPose(index, value.position, value.quaternion)
     }
-  }
-}
-
-/** Words for the state of a connection. */
-export function describeConnection(state: ConnectionState): string {
-  switch (state.kind) {
-    case 'connecting':
-      return strings.connection.connecting
-    case 'live':
-      return strings.connection.live
-    case 'waiting':
-      return state.retryMs >= 1000
-        ? strings.connection.retryIn(Math.round(state.retryMs / 1000))
-        : strings.connection.reconnecting
-    case 'closed':
-      return strings.connection.closed
   }
 }
