@@ -10,6 +10,7 @@ from typing import Any
 
 from fastapi import FastAPI, Request, WebSocket
 from fastapi.responses import FileResponse, HTMLResponse, JSONResponse, Response
+from starlette.exceptions import HTTPException
 from starlette.staticfiles import StaticFiles
 
 from nearfield_protocol.layout import VERSION
@@ -72,7 +73,7 @@ def create_app(
     app.add_middleware(
         Guard, policy=HostPolicy.create(allowed_hosts, lan=lan), on_refused=hub.metrics.refused.inc
     )
-    static = StaticFiles(directory=static_dir, html=True, check_dir=False)
+    static = _ClientFiles(directory=static_dir, html=True, check_dir=False)
     _add_rest(app, scene, hub, status)
     _add_files(app, static, static_dir, dict(assets or {}))
 
@@ -82,6 +83,15 @@ def create_app(
 
     app.mount("/", static)
     return app
+
+
+class _ClientFiles(StaticFiles):
+    """The built client; as long as it is not built, every file of it is missing."""
+
+    async def check_config(self) -> None:
+        if not Path(str(self.directory)).is_dir():
+            raise HTTPException(404)
+        await super().check_config()
 
 
 async def _heartbeat(hub: LightHub) -> None:
