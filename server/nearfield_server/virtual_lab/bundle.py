@@ -76,12 +76,12 @@ QUALITIES = {
     "shipped": Quality(
         cell_points=64,
         cell_rays=4,
-        view_samples=32,
-        view_rays=8,
-        camera_samples=16,
-        camera_rays=8,
+        view_samples=64,
+        view_rays=16,
+        camera_samples=32,
+        camera_rays=16,
         point_replicas=128,
-        point_samples=64,
+        point_samples=128,
     ),
 }
 

@@ -49,7 +49,7 @@ MATERIALS: dict[str, Vector] = {
     "light_grey": (0.55, 0.55, 0.56),
     "dark_grey": (0.10, 0.10, 0.11),
     "metal": (0.32, 0.33, 0.34),
-    "lamp_inside": (0.30, 0.30, 0.30),
+    "lamp_inside": (0.10, 0.10, 0.10),
     "beech": (0.58, 0.43, 0.27),
     "walnut": (0.26, 0.16, 0.09),
     "pin_board": (0.80, 0.30, 0.04),
@@ -112,6 +112,7 @@ def _ceiling_panels() -> list[Quad]:
             rim=0.02,
             recess=0.01,
             material="white",
+            inside="lamp_inside",
             emitter="emit_ceiling",
             light=index,
             skip="+y",
@@ -208,6 +209,7 @@ def _other_furniture() -> list[Quad]:
             rim=0.03,
             recess=0.02,
             material="dark_grey",
+            inside="lamp_inside",
             emitter="emit_floor_lamp",
             light=5,
         ),
@@ -237,7 +239,7 @@ def _table() -> list[Quad]:
         box((-0.12, 0.0, -0.09), (0.12, 0.03, 0.09), "yellow"), pose((2.23, top + 0.035, 2.32), yaw=-0.1)
     )
     quads += _pen_cup((2.66, top, 2.33))
-    quads += box((3.31, top, 2.35), (3.39, top + 0.095, 2.43), "white")
+    quads += box((3.27, top, 2.31), (3.35, top + 0.095, 2.39), "white")
     screen = box((-0.24, 0.09, -0.015), (0.24, 0.39, 0.015), "dark_grey", skip="")
     screen += box((-0.04, 0.01, -0.035), (0.04, 0.30, -0.0151), "metal", skip="-y") + box(
         (-0.10, 0.0, -0.09), (0.10, 0.01, 0.07), "metal"
@@ -271,6 +273,7 @@ def _desk_lamp() -> list[Quad]:
         rim=0.02,
         recess=0.04,
         material="metal",
+        inside="lamp_inside",
         emitter="emit_desk",
         light=4,
     )

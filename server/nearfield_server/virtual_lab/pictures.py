@@ -11,6 +11,9 @@ import numpy as np
 import OpenEXR
 from numpy.typing import NDArray
 
+# Previews are halved until they are at most this wide.
+PREVIEW_WIDTH = 640
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Codec:
@@ -87,7 +90,9 @@ def codec_error(path: Path, radiance: NDArray[Any], emission: NDArray[np.float32
 
 
 def write_preview(path: Path, radiance: NDArray[Any], exposure: float) -> None:
-    """Write a JPEG or PNG for people: exposure, clip, sRGB transfer function."""
+    """Write a JPEG for people, at most 640 pixels wide: exposure, clip, sRGB transfer function."""
+    while radiance.shape[1] > PREVIEW_WIDTH:
+        radiance = box_half(radiance)
     linear = np.clip(radiance * exposure, 0.0, 1.0)
     encoded = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * np.power(linear, 1 / 2.4) - 0.055)
     cv2.imwrite(str(path), np.round(encoded[..., ::-1] * 255).astype(np.uint8))

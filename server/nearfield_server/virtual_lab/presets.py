@@ -30,9 +30,9 @@ TINY_CODECS = Codecs(
 )
 LAB_CODECS = Codecs(
     camera=Codec(dwaa_level=250),
-    view=Codec(dwaa_level=150),
-    small=Codec(mantissa_bits=6),
-    small_direct=Codec(mantissa_bits=5),
+    view=Codec(dwaa_level=200),
+    small=Codec(dwaa_level=45),
+    small_direct=Codec(dwaa_level=45),
     cell_mantissa_bits=6,
 )
 

@@ -63,6 +63,7 @@ def downward_lamp(
     rim: float,
     recess: float,
     material: str,
+    inside: str,
     emitter: str,
     light: int,
     skip: str = "",
@@ -75,6 +76,7 @@ def downward_lamp(
         rim: wall thickness.
         recess: distance of the emitter above the opening.
         material: of the housing.
+        inside: material of the inner sides between opening and emitter.
         emitter: material of the emitter.
         light: index of the light.
         skip: outer faces that touch another surface.
@@ -88,7 +90,7 @@ def downward_lamp(
     bottom = box_face(lo, hi, "-y", material)
     along_e1, along_e2 = float(np.linalg.norm(bottom.e1)), float(np.linalg.norm(bottom.e2))
     quads += wall_with_hole(bottom, (rim, along_e1 - rim), (rim, along_e2 - rim))
-    quads += [box_face(inner_lo, inner_hi, face, material, inward=True) for face in ("-x", "+x", "-z", "+z")]
+    quads += [box_face(inner_lo, inner_hi, face, inside, inward=True) for face in ("-x", "+x", "-z", "+z")]
     quads.append(replace(box_face(inner_lo, inner_hi, "+y", emitter, inward=True), light=light))
     return quads
 

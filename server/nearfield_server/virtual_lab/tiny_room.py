@@ -24,6 +24,7 @@ def build_tiny_room() -> Scene:
         rim=0.02,
         recess=0.01,
         material="grey",
+        inside="grey",
         emitter="emit_ceiling",
         light=0,
         skip="+y",

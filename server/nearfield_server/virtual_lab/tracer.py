@@ -222,21 +222,25 @@ class Tracer:
             lights x 3 Floats (light-major), W/m^2 per unit radiance of the light.
         """
         dr, mi = self.backend.dr, self.backend.mi
-        channels = 3 * self.num_lights
-        total = [mi.Float(0.0) for _ in range(channels)]
-        for g in range(rays):
-            direction = self.gather_direction(normal, *sampler.pair(index * rays + g, DIMENSION_GATHER))
-            hit = self.intersect(position, direction, active)
-            arriving = self.cached_radiance(hit)
-            total = [a + b for a, b in zip(total, arriving, strict=True)]
-            if g == 0:
-                near = hit.is_front & (dr.squared_norm(hit.position - position) < NEAR_DISTANCE**2)
-                exact = self._second_bounce(hit, near, sampler, index)
-                total = [
-                    t + rays * dr.select(near, e - a, 0.0)
-                    for t, e, a in zip(total, exact, arriving, strict=True)
-                ]
-        return [value * (dr.pi / rays) for value in total]
+        first = index * rays
+
+        def trace(sample: Any) -> Hit:
+            direction = self.gather_direction(normal, *sampler.pair(sample, DIMENSION_GATHER))
+            return self.intersect(position, direction, active)
+
+        hit = trace(first)
+        arriving = self.cached_radiance(hit)
+        near = hit.is_front & (dr.squared_norm(hit.position - position) < NEAR_DISTANCE**2)
+        exact = self._second_bounce(hit, near, sampler, index)
+        total = [a + rays * dr.select(near, e - a, 0.0) for a, e in zip(arriving, exact, strict=True)]
+
+        # A recorded loop: unrolled, the compiler would need minutes for 16 rays and 7 lights.
+        def body(ray: Any, *sums: Any) -> tuple[Any, ...]:
+            values = self.cached_radiance(trace(first + ray))
+            return (ray + 1, *[a + b for a, b in zip(sums, values, strict=True)])
+
+        state = dr.while_loop((mi.UInt32(1), *total), lambda ray, *_: ray < dr.opaque(mi.UInt32, rays), body)
+        return [value * (dr.pi / rays) for value in state[1:]]
 
     def cached_radiance(self, hit: Hit) -> list[Any]:
         """Reflected radiance of the cell at each front hit: lights x 3 Floats, 0 elsewhere."""

@@ -57,7 +57,7 @@ def test_wall_with_hole_keeps_the_area_around_the_hole() -> None:
 
 def test_lamp_housing_is_closed_and_emits_downwards() -> None:
     lamp = downward_lamp(
-        (1, 2, 3), (0.3, 0.2, 0.5), rim=0.02, recess=0.04, material="m", emitter="e", light=3
+        (1, 2, 3), (0.3, 0.2, 0.5), rim=0.02, recess=0.04, material="m", inside="i", emitter="e", light=3
     )
     np.testing.assert_allclose(total_area_vector(lamp), 0.0, atol=1e-15)
     assert enclosed_volume(lamp) == pytest.approx(0.3 * 0.2 * 0.5 - 0.26 * 0.04 * 0.46)
