@@ -13,7 +13,7 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NoReturn
 
 import structlog
 
@@ -101,6 +101,17 @@ def die_with_parent(parent_pid: int, death_signal: signal.Signals = signal.SIGKI
         raise ServiceError(f"process {os.getpid()}: the parent {parent_pid} is gone")
 
 
+def set_on_signals(stop: threading.Event) -> None:
+    """Set an event on SIGTERM and SIGINT; call it from the main thread."""
+
+    def handle(*_: object) -> None:
+        # Not set here: the handler may have interrupted the main thread inside `stop.wait()`, where it holds the lock of the event.
+        threading.Thread(target=stop.set, name="stop", daemon=True).start()
+
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, handle)
+
+
 class Worker:
     """Life of a child process: bus, control state, heartbeat, stop signal.
 
@@ -125,8 +136,7 @@ class Worker:
 
     def start(self) -> None:
         """Install signal handlers, announce the process, follow the control state."""
-        for number in (signal.SIGTERM, signal.SIGINT):
-            signal.signal(number, lambda *_: self.stop.set())
+        set_on_signals(self.stop)
         self.bus.subscribe(CONTROL_STATE, lambda _, payload: self._take_control(payload))
         self.bus.announce(self.spec.process)
         self._publisher.start()
@@ -206,16 +216,22 @@ class Worker:
                 self.log.warning("status not sent", reason=str(error))
 
 
-def run_worker(main: Callable[[Worker], None]) -> int:
+def run_worker(main: Callable[[Worker], None]) -> NoReturn:
     """Run a child process: read the specification, run `main(worker)`, turn deliberate errors into one logged line.
 
-    Returns:
-        The exit code: 0 after a requested stop, 3 after a deliberate error. Anything else propagates with its traceback: it is a bug.
+    It does not return after a requested stop (exit code 0) or a deliberate error (3): the process ends at once, because taking the
+    interpreter apart with LLVM loaded costs more than a second. Anything else propagates with its traceback: it is a bug.
     """
     faulthandler.enable()
     spec = WorkerSpec.from_json(sys.stdin.readline())
     configure_logging(spec.process)
-    log = structlog.get_logger("nearfield.worker")
+    code = _run(spec, main)
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(code)
+
+
+def _run(spec: WorkerSpec, main: Callable[[Worker], None]) -> int:
     worker: Worker | None = None
     try:
         die_with_parent(spec.supervisor_pid)
@@ -225,7 +241,7 @@ def run_worker(main: Callable[[Worker], None]) -> int:
     except NearfieldError as error:
         if worker is not None and worker.stop.is_set():
             return 0
-        log.error("process ends", reason=str(error))
+        structlog.get_logger("nearfield.worker").error("process ends", reason=str(error))
         return 3
     finally:
         if worker is not None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 import time
 from collections import Counter
 from collections.abc import Callable
@@ -168,4 +167,4 @@ def main(worker: Worker) -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(run_worker(main))
+    run_worker(main)

@@ -5,7 +5,6 @@ Newest frames in, light packets out. It waits for the eventfd "frame ready" and 
 
 from __future__ import annotations
 
-import sys
 import time
 from dataclasses import dataclass, replace
 from typing import Any
@@ -225,4 +224,4 @@ def main(worker: Worker) -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(run_worker(main))
+    run_worker(main)

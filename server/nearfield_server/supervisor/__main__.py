@@ -6,11 +6,11 @@ import faulthandler
 import signal
 import sys
 
-from nearfield_server.bus.worker import configure_logging, die_with_parent
+from nearfield_server.bus.worker import configure_logging, die_with_parent, set_on_signals
 from nearfield_server.errors import ConfigError, NearfieldError
 from nearfield_server.scene.room_config import load_room
 from nearfield_server.supervisor.settings import ServiceSettings
-from nearfield_server.supervisor.supervisor import PROCESS_NAME, Supervisor, stop_on_signals
+from nearfield_server.supervisor.supervisor import PROCESS_NAME, Supervisor
 
 EXIT_CONFIG = 2
 EXIT_SERVICE = 3
@@ -28,7 +28,7 @@ def main() -> int:
     except NearfieldError as error:
         sys.stderr.write(f"nearfield: {error}\n")
         return EXIT_CONFIG if isinstance(error, ConfigError) else EXIT_SERVICE
-    stop_on_signals(supervisor)
+    set_on_signals(supervisor.stop)
     try:
         supervisor.start()
         supervisor.run()

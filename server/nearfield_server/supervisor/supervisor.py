@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-import signal
 import socket
 import threading
 import time
@@ -233,9 +232,3 @@ class Supervisor:
             self.bus.put(status_key(PROCESS_NAME), json.dumps(status).encode())
             # Repeated for those who missed it: a process that has just connected hears only what comes afterwards.
             self.bus.put(CONTROL_STATE, self._state.to_json())
-
-
-def stop_on_signals(supervisor: Supervisor) -> None:
-    """Make SIGTERM and SIGINT end the service cleanly."""
-    for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, lambda *_: supervisor.stop.set())

@@ -24,7 +24,6 @@ from nearfield_server.bus.worker import WorkerSpec
 from nearfield_server.errors import ServiceError
 
 CHILD = """
-import sys
 from nearfield_server.bus.worker import run_worker
 from nearfield_server.errors import CaptureError
 def main(worker):
@@ -34,7 +33,7 @@ def main(worker):
     while not worker.stop.is_set():
         worker.beat(weights=list(worker.control.light_weights))
         worker.stop.wait(0.01)
-sys.exit(run_worker(main))
+run_worker(main)
 """
 
 
