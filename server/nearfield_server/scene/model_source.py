@@ -75,7 +75,8 @@ def load_source_model(path: str | Path) -> SourceModel:
         positions=positions,
         normals=normals,
         faces=faces,
-        albedo=np.average(albedos, axis=0, weights=areas),
+        # A weighted mean of ones can exceed one by rounding.
+        albedo=np.clip(np.average(albedos, axis=0, weights=areas), 0.0, 1.0),
         notes=tuple(notes),
     )
 

@@ -128,6 +128,13 @@ def test_cache_is_keyed_by_content_and_survives_damage(sphere_path, tmp_path, mo
     assert ensure_prepared(sphere_path, "preview") != first
 
 
+def test_the_mean_albedo_of_white_is_white(tmp_path):
+    rng = np.random.default_rng(5)
+    positions = rng.random((3000, 3))
+    path = write_model(tmp_path / "m.glb", positions, np.arange(3000).reshape(-1, 3), albedo=(1.0, 1.0, 1.0))
+    assert load_source_model(path).albedo.tolist() == [1.0, 1.0, 1.0]
+
+
 def test_node_transforms_and_mirrored_nodes_are_applied(tmp_path):
     box = trimesh.creation.box(extents=(0.2, 0.2, 0.2))
     vertices, faces = np.asarray(box.vertices), np.asarray(box.faces)
