@@ -46,7 +46,9 @@ def gather_reference(table: GatherTable, frames: Sequence[NDArray[np.float16] | 
             for right, weight_x in ((0, 1.0 - fraction_x), (1, fraction_x)):
                 tap = picture[np.minimum(row + down, height - 1), np.minimum(column + right, width - 1)]
                 weight = table.weight[pairs].astype(np.float64) * weight_x * weight_y
-                np.add.at(total, texel_of_pair[pairs], tap * weight[:, None])
+                for component in range(4):
+                    weighted = tap[:, component] * weight
+                    total[:, component] += np.bincount(texel_of_pair[pairs], weighted, num_texels)
     valid = total[:, 3] > 0.0
     return np.asarray(
         np.where(valid[:, None], total[:, :3] / np.where(valid, total[:, 3], 1.0)[:, None], 0.0)
@@ -100,7 +102,7 @@ def integrate_reference(
         return sums
     points, normals = position[texels].astype(np.float64), normal[texels].astype(np.float64)
     features = np.concatenate([points, NORMAL_SCALE * normals], axis=1)
-    distance = np.sum((features[:, None] - centres[None]) ** 2, axis=2)
+    distance = np.stack([np.sum((features - centre) ** 2, axis=1) for centre in centres], axis=1)
     label = np.where(alive, distance, np.inf).argmin(axis=1)
     for slot in np.unique(label):
         members = label == slot
