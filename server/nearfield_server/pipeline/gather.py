@@ -24,7 +24,7 @@ _PIXEL_SHIFT: Final = 32
 _PIXEL_MASK: Final = (1 << 28) - 1
 MAX_CAMERAS: Final = 16
 _PIXEL_BYTES: Final = 8
-_AHEAD: Final = 48
+_AHEAD: Final = 64
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -145,8 +145,13 @@ def _gather_blocks(
             for _ in range(pair_count[texel]):
                 if k + _AHEAD < pairs.shape[0]:
                     ahead = pairs[k + _AHEAD]
-                    base = address[np.int64(ahead >> np.uint64(_CAMERA_SHIFT))]
-                    prefetch(base + (np.int64(ahead >> np.uint64(_PIXEL_SHIFT)) & _PIXEL_MASK) * _PIXEL_BYTES)
+                    camera = np.int64(ahead >> np.uint64(_CAMERA_SHIFT))
+                    row0 = (
+                        address[camera]
+                        + (np.int64(ahead >> np.uint64(_PIXEL_SHIFT)) & _PIXEL_MASK) * _PIXEL_BYTES
+                    )
+                    prefetch(row0)
+                    prefetch(row0 + stride[camera])
                 pair = pairs[k]
                 k += 1
                 camera = np.int64(pair >> np.uint64(_CAMERA_SHIFT))

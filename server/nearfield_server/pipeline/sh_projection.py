@@ -30,10 +30,11 @@ def _project(probe_texel: Any, basis: Any, radiance: Any, threshold: Any, out: A
         if texel < 0:
             continue
         for channel in range(3):
-            value = radiance[texel, channel]
-            if value < threshold[channel]:
-                for k in range(out.shape[0]):
-                    out[k, channel] += basis[pixel, k] * np.float64(value)
+            value = np.float64(radiance[texel, channel])
+            if value >= threshold[channel]:
+                value = 0.0
+            for k in range(NUM_COEFFS):
+                out[channel, k] += basis[pixel, k] * value
 
 
 def project_indirect(
@@ -61,6 +62,6 @@ def project_indirect(
         raise ValueError(
             f"probe of resolution {resolution} needs {basis.shape[0]} texels, found {probe_texel.shape}"
         )
-    out = np.zeros((NUM_COEFFS, 3))
+    out = np.zeros((3, NUM_COEFFS))
     _project(probe_texel, basis, radiance, threshold, out)
-    return out
+    return np.ascontiguousarray(out.T)
