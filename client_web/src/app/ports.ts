@@ -1,7 +1,8 @@
 /** What the app needs from the renderer and the connection; both are handed in, so that tests can bring their own. */
 import type { Pose } from '../interaction/pose'
 import type { RoomTriangles } from '../interaction/roomSurface'
-import type { AtlasTiles, ControlState, LightPacket, Status } from '../protocol/codec'
+import type { AtlasTiles, LightPacket } from '../protocol/codec'
+import type { ConnectionEvents, ConnectionState } from '../protocol/connection'
 import type { LightFrame } from '../state/lightState'
 import type { SceneDescription } from '../state/sceneDescription'
 
@@ -45,21 +46,7 @@ export interface PictureRenderer {
   dispose(): void
 }
 
-export type ConnectionState =
-  | { readonly kind: 'connecting' }
-  | { readonly kind: 'live' }
-  | { readonly kind: 'waiting'; readonly retryMs: number }
-  | { readonly kind: 'closed'; readonly reason: 'version' | 'full' | 'other'; readonly text: string }
-
-export interface ConnectionEvents {
-  state(state: ConnectionState): void
-  light(packet: LightPacket, numBytes: number): void
-  atlas(tiles: AtlasTiles): void
-  controlState(state: ControlState): void
-  status(status: Status): void
-  /** A message that could not be read was left out. */
-  refused(text: string): void
-}
+export type { ConnectionEvents, ConnectionState }
 
 export interface Connection {
   setLightWeight(lightIndex: number, weight: number): void

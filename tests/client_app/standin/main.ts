@@ -1,6 +1,6 @@
 import { startApp } from '../../../client_web/src/app/start'
 import { decodeLightPacket, VERSION } from '../../../client_web/src/protocol/codec'
-import { connect } from './connection'
+import { ServerConnection } from '../../../client_web/src/protocol/connection'
 import { StandInRenderer } from './renderer'
 
 declare global {
@@ -14,7 +14,7 @@ startApp(
   {
     protocolVersion: VERSION,
     decodeLightPacket,
-    connect,
+    connect: (events) => new ServerConnection(events),
     createRenderer: async (canvas, scene, settings) => {
       window.standIn = new StandInRenderer(canvas, scene, settings)
       const floor = { positions: [0, 0, 0, 0, 0, 4, 4, 0, 4, 4, 0, 0], indices: [0, 1, 2, 0, 2, 3] }
