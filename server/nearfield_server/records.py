@@ -49,7 +49,8 @@ class TexelGeometry:
         texel_index: (N,) int32, flat index `row * width + column`, unique.
         position: (N, 3) float32, world frame, metres.
         normal: (N, 3) float32, unit, world frame.
-        area: (N,) float32, m^2 of world surface that the texel stands for; the sum over a triangle is the triangle's area.
+        area: (N,) float32, m^2 of world surface that the texel stands for; the sum over a triangle is the triangle's area (and that of
+            neighbours too small to own a texel).
         face: (N,) int32, triangle of the room mesh.
         lookup: (height, width) int32, position in this order, or -1 where no texel is covered.
         gutter_texel: (G,) int32 flat indices of uncovered texels within two texels of a chart (dilation, zero area).

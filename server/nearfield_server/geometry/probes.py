@@ -9,7 +9,6 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from nearfield_server.geometry.camera_view import RoomRays
 from nearfield_server.geometry.texels import face_normals
@@ -44,7 +43,7 @@ class ProbeRays:
 
         Returns:
             (6 R R,) int32 position in texel order, in the order of `radiometry.cube.cube_directions`; -1 where the ray
-            leaves the room, hits a back face (black), or a triangle that has no texel.
+            leaves the room, hits a back face (black), or a triangle with no texel anywhere near.
         """
         directions = cube_directions(resolution)
         face, u, v = self._rays.first_face(np.asarray(centre_world, dtype=np.float64), directions)
@@ -67,19 +66,28 @@ class _FaceTexels:
         self._start = np.searchsorted(texels.face[self._order], np.arange(num_faces + 1))
 
     def nearest(self, face: NDArray[np.int32], uv: NDArray[np.float64]) -> NDArray[np.int32]:
-        """(n,) int32 positions in texel order, -1 for triangles without texel."""
+        """(n,) int32 positions in texel order.
+
+        Triangles too small to own a texel take the nearest one of their neighbours; -1 where there is none around.
+        """
         texels = self._texels
         points = uv * [texels.width, texels.height] - 0.5
         found = np.asarray(
             _nearest_of_face(points, face, texels.lookup, texels.face, _SEARCH_RANGE), dtype=np.int32
         )
-        for index in np.flatnonzero(found < 0):
-            # Claimed texels of tiny triangles may lie farther away: look through all texels of the triangle.
-            members = self._order[self._start[face[index]] : self._start[face[index] + 1]]
-            if len(members):
+        for index in np.flatnonzero(self._start[face + 1] > self._start[face]):
+            if found[index] < 0:
+                # The texels of thin triangles may lie farther away: look through all of them.
+                members = self._order[self._start[face[index]] : self._start[face[index] + 1]]
                 flat = texels.texel_index[members]
-                grid = np.stack([flat % texels.width, flat // texels.width], axis=1).astype(np.float64)
-                found[index] = members[cKDTree(grid).query(points[index])[1]]
+                offset = np.stack([flat % texels.width, flat // texels.width], axis=1) - points[index]
+                found[index] = members[(offset * offset).sum(axis=1).argmin()]
+        homeless = np.flatnonzero(found < 0)
+        if homeless.size:
+            any_face = np.full(homeless.size, -1, dtype=np.int32)
+            found[homeless] = _nearest_of_face(
+                points[homeless], any_face, texels.lookup, texels.face, _SEARCH_RANGE
+            )
         return found
 
 
@@ -94,7 +102,7 @@ def _nearest_of_face(points, faces, lookup, texel_face, reach):  # type: ignore[
         for i in range(max(0, row - reach), min(height, row + reach + 1)):
             for j in range(max(0, column - reach), min(width, column + reach + 1)):
                 texel = lookup[i, j]
-                if texel >= 0 and texel_face[texel] == faces[n]:
+                if texel >= 0 and (faces[n] < 0 or texel_face[texel] == faces[n]):
                     distance = (i - y) ** 2 + (j - x) ** 2
                     if distance < best:
                         best = distance

@@ -5,7 +5,8 @@ triangle's area: the map from UV to the surface is affine within a triangle, so 
 shares sum to the true area exactly.
 
 Differs from the paper: triangles that contain no texel centre (slivers, tiny emitters) claim the nearest free texel, so
-that their light is not lost; gutter texels are kept as a list with zero area instead of being written into the atlas.
+that their light is not lost; inside a chart, where none is free, the texel at their place takes over their area if it is of
+the same material and faces the same way. Gutter texels are kept as a list with zero area instead of being written into the atlas.
 """
 
 from __future__ import annotations
@@ -26,6 +27,8 @@ _LOGGER = structlog.get_logger(__name__)
 GUTTER_RANGE = 2
 # How far (texels) a triangle without a texel centre may look for a free texel.
 _CLAIM_RANGE = 4
+# A texel takes over the area of a triangle without texel when their normals are within 60 degrees.
+_HOST_COSINE = 0.5
 Rasteriser = Literal["auto", "gl", "cpu"]
 
 
@@ -79,9 +82,7 @@ def texels_from_coverage(mesh: RoomMesh, owner: NDArray[np.int32]) -> TexelGeome
     height, width = owner.shape
     owner = owner.copy()
     counts = np.bincount(owner[owner >= 0], minlength=len(mesh.faces))
-    claimed, num_lost = _claim(owner, mesh, np.flatnonzero(counts == 0))
-    if num_lost:
-        _LOGGER.warning("triangles too small for the atlas give no light", lost=num_lost, of=len(mesh.faces))
+    claimed, homeless = _claim(owner, mesh, np.flatnonzero(counts == 0))
     rows, columns = np.nonzero(owner >= 0)
     order = np.argsort(_morton(rows, columns), kind="stable")
     rows, columns = rows[order], columns[order]
@@ -91,7 +92,6 @@ def texels_from_coverage(mesh: RoomMesh, owner: NDArray[np.int32]) -> TexelGeome
     corners = mesh.faces[face]
     position = np.einsum("nk,nkd->nd", barycentric, mesh.positions[corners])
     normal = _shading_normals(mesh, face, np.einsum("nk,nkd->nd", barycentric, mesh.normals[corners]))
-    counts = np.bincount(face, minlength=len(mesh.faces))
     texel_index = (rows * width + columns).astype(np.int32)
     lookup = np.full(height * width, -1, dtype=np.int32)
     lookup[texel_index] = np.arange(len(texel_index), dtype=np.int32)
@@ -103,7 +103,7 @@ def texels_from_coverage(mesh: RoomMesh, owner: NDArray[np.int32]) -> TexelGeome
         texel_index=texel_index,
         position=np.ascontiguousarray(position, dtype=np.float32),
         normal=np.ascontiguousarray(normal, dtype=np.float32),
-        area=(face_areas(mesh) / np.maximum(counts, 1))[face].astype(np.float32),
+        area=_shared_areas(mesh, face, homeless, lookup).astype(np.float32),
         face=np.ascontiguousarray(face, dtype=np.int32),
         lookup=lookup,
         gutter_texel=gutter_texel,
@@ -186,20 +186,51 @@ def _shading_normals(
     return np.where(usable[:, None], interpolated / np.maximum(length, 1e-6), geometric)
 
 
+def _shared_areas(
+    mesh: RoomMesh, face: NDArray[np.int32], homeless: NDArray[np.int64], lookup: NDArray[np.int32]
+) -> NDArray[np.float64]:
+    """(N,) float64 area of each texel: its share of its triangle, and all of the homeless triangles at its place."""
+    areas, normals = face_areas(mesh), face_normals(mesh)
+    shares = np.asarray((areas / np.maximum(np.bincount(face, minlength=len(mesh.faces)), 1))[face])
+    if not len(homeless):
+        return shares
+    height, width = lookup.shape
+    centres = np.clip(
+        mesh.uv[mesh.faces[homeless]].mean(axis=1) * [width, height], 0, [width - 1, height - 1]
+    )
+    host = lookup[centres[:, 1].astype(np.int64), centres[:, 0].astype(np.int64)]
+    host_face = face[host]
+    kept = (host >= 0) & (mesh.face_material[host_face] == mesh.face_material[homeless])
+    kept &= (normals[host_face] * normals[homeless]).sum(axis=1) > _HOST_COSINE
+    np.add.at(shares, host[kept], areas[homeless[kept]])
+    if not kept.all():
+        lost = homeless[~kept]
+        _LOGGER.warning(
+            "triangles too small for the atlas give no light; use a larger atlas",
+            lost=len(lost),
+            of=len(mesh.faces),
+            area=float(areas[lost].sum()),
+        )
+    return shares
+
+
 def _claim(
     owner: NDArray[np.int32], mesh: RoomMesh, empty_faces: NDArray[np.int64]
-) -> tuple[NDArray[np.bool_], int]:
-    """Give each triangle without a texel the nearest free one; returns the claimed texels and how many got none."""
+) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
+    """Give each triangle without a texel the nearest free one; returns the claimed texels and the triangles left over."""
     height, width = owner.shape
     centres = mesh.uv[mesh.faces[empty_faces]].mean(axis=1) * [width, height]
     claimed = np.zeros(owner.shape, dtype=np.bool_)
-    return claimed, int(_claim_nearest(owner, claimed, empty_faces, centres, _CLAIM_RANGE))
+    is_homeless = np.asarray(
+        _claim_nearest(owner, claimed, empty_faces, centres, _CLAIM_RANGE), dtype=np.bool_
+    )
+    return claimed, empty_faces[is_homeless]
 
 
 @njit(cache=True, nogil=True)
 def _claim_nearest(owner, claimed, empty_faces, centres, reach):  # type: ignore[no-untyped-def]  # pragma: no cover
     height, width = owner.shape
-    lost = 0
+    homeless = np.zeros(empty_faces.shape[0], dtype=np.bool_)
     for k in range(empty_faces.shape[0]):
         x, y = centres[k, 0] - 0.5, centres[k, 1] - 0.5
         best, best_row, best_column = np.inf, -1, -1
@@ -210,11 +241,11 @@ def _claim_nearest(owner, claimed, empty_faces, centres, reach):  # type: ignore
                     if distance < best:
                         best, best_row, best_column = distance, row, column
         if best_row < 0:
-            lost += 1
+            homeless[k] = True
             continue
         owner[best_row, best_column] = empty_faces[k]
         claimed[best_row, best_column] = True
-    return lost
+    return homeless
 
 
 def _morton(rows: NDArray[np.int64], columns: NDArray[np.int64]) -> NDArray[np.uint64]:

@@ -54,3 +54,43 @@ def test_uniform_room_gives_four_pi(furnished_room: RoomMesh, texels: TexelGeome
 def test_outside_and_back_faces_are_dark(furnished_room: RoomMesh, texels: TexelGeometry) -> None:
     found = ProbeRays(furnished_room, texels).trace(np.array([-5.0, 1.0, 1.5]), 8)
     assert (found == -1).all()
+
+
+def test_triangles_without_texel_show_their_neighbours() -> None:
+    # 12,288 triangles in an atlas of 96 x 96 = 9,216 texels: thousands own none.
+    room = make_box_room(atlas_size=96).mesh()
+    positions, uv, faces = room.positions, room.uv, room.faces
+    for _ in range(5):
+        corners = np.stack([np.arange(len(faces) * 3).reshape(-1, 3)], axis=0)[0]
+        positions, uv = positions[faces].reshape(-1, 3), uv[faces].reshape(-1, 2)
+        middle = [(positions[corners[:, i]] + positions[corners[:, (i + 1) % 3]]) / 2 for i in range(3)]
+        middle_uv = [(uv[corners[:, i]] + uv[corners[:, (i + 1) % 3]]) / 2 for i in range(3)]
+        start = len(positions)
+        count = len(faces)
+        ab, bc, ca = (start + i * count + np.arange(count) for i in range(3))
+        a, b, c = corners.T
+        positions, uv = np.concatenate([positions, *middle]), np.concatenate([uv, *middle_uv])
+        faces = np.concatenate(
+            [np.stack(f, axis=1) for f in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))]
+        )
+    crosses = np.cross(
+        positions[faces[:, 1]] - positions[faces[:, 0]], positions[faces[:, 2]] - positions[faces[:, 0]]
+    )
+    normals = np.zeros_like(positions)
+    normals[faces] = (crosses / np.linalg.norm(crosses, axis=1, keepdims=True))[:, None]
+    mesh = RoomMesh(
+        positions=positions,
+        normals=normals,
+        uv=uv,
+        faces=faces.astype(np.int32),
+        face_material=np.zeros(len(faces), dtype=np.int32),
+        materials=("wall",),
+        material_albedo=np.full((1, 3), 0.5),
+        uv_source="file",
+        content_hash="fine box",
+    )
+    texels = rasterise_texels(mesh, 96, rasteriser="cpu")
+    assert len(faces) - len(np.unique(texels.face)) > 3000
+    # No area is lost, and no direction is dark.
+    assert texels.area.sum(dtype=np.float64) == pytest.approx(2 * (6 * 3 + 3 * 4 + 6 * 4), rel=1e-6)
+    assert (ProbeRays(mesh, texels).trace(np.array([2.137, 1.211, 1.683]), 16) >= 0).all()

@@ -135,10 +135,22 @@ def test_triangle_without_texel_centre_claims_the_nearest_free_one(furnished_roo
     assert divmod(int(texels.texel_index[claimed]), SIZE) == (225, 230)
 
 
-def test_triangle_that_finds_no_free_texel_is_counted(furnished_room: RoomMesh) -> None:
+def test_triangle_inside_a_chart_gives_its_area_to_the_texel_at_its_place(furnished_room: RoomMesh) -> None:
+    inside_ceiling = furnished_room.uv[4:8].mean(axis=0)
+    mesh = tiny_emitter(furnished_room, (float(inside_ceiling[0]), float(inside_ceiling[1])))
+    texels = rasterise_texels(mesh, SIZE, rasteriser="cpu")
+    plain = rasterise_texels(furnished_room, SIZE, rasteriser="cpu")
+    (changed,) = np.flatnonzero(texels.area != plain.area)
+    assert texels.area[changed] - plain.area[changed] == pytest.approx(0.5 * 0.003 * 0.004, rel=1e-3)
+    assert texels.face[changed] // 2 == 1
+
+
+def test_triangle_that_nothing_can_stand_for_is_counted(furnished_room: RoomMesh) -> None:
+    # It faces down, and its place in the atlas is that of the floor, which faces up.
     inside_floor = furnished_room.uv[:4].mean(axis=0)
     mesh = tiny_emitter(furnished_room, (float(inside_floor[0]), float(inside_floor[1])))
     with capture_logs() as logs:
         texels = rasterise_texels(mesh, SIZE, rasteriser="cpu")
     assert logs[0]["lost"] == 1
+    assert logs[0]["area"] == pytest.approx(0.5 * 0.003 * 0.004)
     assert texels.face.max() < len(mesh.faces) - 1
