@@ -9,13 +9,8 @@ import pytest
 from tests.service.harness import Service
 
 from nearfield_protocol.codec import (
-    Encoding,
     SetLightWeight,
     SetObjectPose,
-    Subscribe,
-    decode_atlas_tiles,
-    decode_radiance,
-    paste_tiles,
 )
 
 pytestmark = pytest.mark.service
@@ -97,24 +92,3 @@ def test_status_tells_ages_stages_and_sources(service: Service) -> None:
     assert camera["connected"] is True
     assert camera["source"]["kind"] == "lab"
     assert camera["frames"] > 0
-
-
-def test_the_atlas_travels_only_while_someone_wants_it(service: Service) -> None:
-    service.packet_after(0.0)
-    assert service._atlas == []
-
-    def want(wanted: bool) -> None:
-        service.request(Subscribe(sequence=1, encoding=Encoding.COMPACT, wants_atlas=wanted))
-
-    service.until("the atlas", lambda: want(True), lambda: service._atlas)
-    tiles = decode_atlas_tiles(service._atlas[0])
-    assert (tiles.width, tiles.height, len(tiles.positions)) == (256, 256, 64)
-    atlas = np.zeros((256, 256), np.uint32)
-    paste_tiles(atlas, tiles)
-    radiance = decode_radiance(atlas)
-    assert np.isfinite(radiance).all()
-    assert radiance.max() > 0
-    want(False)
-    service.until(
-        "no more wish", lambda: want(False), lambda: not service._statuses["illumination"]["atlas_wanted"]
-    )

@@ -224,6 +224,7 @@ class Supervisor:
             "pid": os.getpid(),
             "phase": "running" if self._ready else "starting",
             "uptime_s": round(now_s - self._started_s, 3),
+            "port": self.port,
             "children": {
                 child.name: {**child.report(), "fault": child.health.fault(now_s)} for child in self.children
             },
