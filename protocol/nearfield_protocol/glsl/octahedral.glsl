@@ -21,7 +21,8 @@ vec3 octahedralDecode(const in vec2 square) {
 }
 
 // Unit vector from the normal word of a VAL (2 x 12 bit; see protocol/SPEC.md).
-vec3 octahedralDecodeWord(const in uint word) {
+// highp: integers of fragment shaders have 16 bit by default in GLSL ES.
+vec3 octahedralDecodeWord(const in highp uint word) {
   vec2 steps = vec2(float(word & 0xFFFu), float((word >> 12) & 0xFFFu));
   return octahedralDecode((steps - 2047.0) / 2047.0);
 }

@@ -207,16 +207,17 @@ class LightHub:
         """Age of the light in seconds, ages of the cameras, and whether the light is stale."""
         now = time.monotonic()
         health = self._health
-        if health is not None:
-            silent = now - health.reported
-            ages = tuple(age + silent for age in health.camera_ages[:MAX_CAMERAS])
-            age = health.light_age + silent
-            return age, ages, health.is_stale or silent > self._health_timeout or age > self._stale_after
-        if self._light is None:
-            return math.inf, (), True
-        # Capture times are CLOCK_MONOTONIC of this machine, as is time.monotonic_ns().
-        age = max(0.0, (time.monotonic_ns() - self._light.timestamp_ns) * 1e-9)
-        return age, (), age > self._stale_after
+        packet_age = math.inf
+        if self._light is not None:
+            # Capture times are CLOCK_MONOTONIC of this machine, as is time.monotonic_ns().
+            packet_age = max(0.0, (time.monotonic_ns() - self._light.timestamp_ns) * 1e-9)
+        if health is None:
+            return packet_age, (), packet_age > self._stale_after
+        silent = now - health.reported
+        ages = tuple(age + silent for age in health.camera_ages[:MAX_CAMERAS])
+        # Light that does not change is not sent again: then the report is the newer word.
+        age = min(packet_age, health.light_age + silent)
+        return age, ages, health.is_stale or silent > self._health_timeout or age > self._stale_after
 
     def _status(self) -> bytes:
         light_age, camera_ages, is_stale = self.light_health()

@@ -129,7 +129,12 @@ class Gateway:
         return int(self.url.rstrip("/").rpartition(":")[2])
 
     def tablet(self, **options: Any) -> Tablet:
-        settings: dict[str, Any] = {"subprotocols": ["nearfield.v1"], "compression": None, **options}
+        settings: dict[str, Any] = {
+            "subprotocols": ["nearfield.v1"],
+            "compression": None,
+            "proxy": None,
+            **options,
+        }
         uri = self.url.replace("http", "ws") + "ws"
         return Tablet(self.stack.enter_context(connect(uri, **settings)))
 
