@@ -114,7 +114,7 @@ function requireWebgl(): void {
   context.getExtension('WEBGL_lose_context')?.loseContext()
 }
 
-/** A lost context cannot be continued piece by piece; the server keeps all state, so the page starts again. */
+/** The renderer rebuilds itself when the context comes back; until then there is nothing to draw with. */
 function watchContext(shell: Shell, viewer: Viewer): void {
   shell.canvas.addEventListener('webglcontextlost', (event) => {
     event.preventDefault()
@@ -123,7 +123,10 @@ function watchContext(shell: Shell, viewer: Viewer): void {
       window.location.reload(),
     )
   })
-  shell.canvas.addEventListener('webglcontextrestored', () => window.location.reload())
+  shell.canvas.addEventListener('webglcontextrestored', () => {
+    shell.overlay.hide()
+    viewer.resume()
+  })
 }
 
 function watchPage(shell: Shell, viewer: Viewer): void {
