@@ -1,0 +1,50 @@
+import { NEAR } from '../camera'
+import { drawScreen } from '../device'
+import { Program } from '../gl/program'
+import type { Target } from '../gl/targets'
+import { SHADERS } from '../glsl'
+import type { Frame } from './frame'
+
+/** Vertices of one marker: 24 triangles of the disc, one for the normal. */
+const MARKER_VERTICES = 75
+
+/** Exposure and transfer function to the canvas; markers of the VALs on top. Inputs: resolved picture, exposure. */
+export class DisplayPass {
+  readonly #gl: WebGL2RenderingContext
+  readonly #display: Program
+  readonly #marker: Program
+
+  constructor(gl: WebGL2RenderingContext) {
+    this.#gl = gl
+    this.#display = new Program(gl, 'display', SHADERS.display)
+    this.#marker = new Program(gl, 'light markers', SHADERS.valMarker)
+  }
+
+  run(frame: Frame, picture: Target, gbuffer: Target): void {
+    const gl = this.#gl
+    gl.bindFramebuffer(gl.FRAMEBUFFER, null)
+    gl.viewport(0, 0, picture.width, picture.height)
+    this.#display
+      .use()
+      .textures({ uComposite: picture.colour() })
+      .float('uExposure', frame.options.exposure)
+      .int('uSoftClip', frame.options.softClip)
+    drawScreen(gl)
+    if (!frame.options.showVals || frame.valCount === 0) return
+    gl.enable(gl.BLEND)
+    gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA)
+    this.#marker
+      .use()
+      .textures({ uValData: frame.valData.binding(), uDepth: gbuffer.depthTexture() })
+      .mat4('uClipFromWorld', frame.camera.clipFromWorld)
+      .float('uNear', NEAR)
+    gl.bindVertexArray(null)
+    gl.drawArraysInstanced(gl.TRIANGLES, 0, MARKER_VERTICES, frame.valCount)
+    gl.disable(gl.BLEND)
+  }
+
+  dispose(): void {
+    this.#display.dispose()
+    this.#marker.dispose()
+  }
+}

@@ -1,0 +1,442 @@
+/** Draws the augmented picture: Rohmer et al. 2014, section 5, with WebGL2 in place of compute and geometry shaders. */
+import { Vector3 } from 'three'
+import type { AtlasTiles } from '../protocol/codec'
+import { MAX_VALS } from '../radiometry/valLight'
+import type { LightFrame } from '../state/lightState'
+import { centredLens, clipFromWorld, type Lens, resizeLens } from './camera'
+import { type Device, openDevice, probeDevice, resetState } from './device'
+import { RendererError } from './errors'
+import { GpuState, type SizedTargets } from './gpuState'
+import { packVals } from './lightData'
+import { lightObject } from './lightSetup'
+import { MAX_OBJECTS, type ObjectState, packObjects, worldCentre } from './objectData'
+import { PassRunner } from './passRunner'
+import type { CameraState, Frame } from './passes/frame'
+import type { ShadingMode } from './passes/shadePass'
+import { pickSurface } from './pick'
+import { LIVE_MAPS_PER_FRAME, ShadowMaps } from './shadowMaps'
+import {
+  type CameraChoice,
+  DEFAULT_OPTIONS,
+  type FrameStats,
+  type MatrixLike,
+  type RendererOptions,
+  type SceneAssets,
+} from './types'
+import { fromRowMajor } from './vector'
+
+/** Everything that a pass can depend on. */
+type Key =
+  | 'size'
+  | 'camera'
+  | 'poses'
+  | 'light'
+  | 'weights'
+  | 'atlas'
+  | 'shading options'
+  | 'quality'
+  | 'edges'
+  | 'display options'
+  | 'object light'
+  | 'background'
+  | 'shadow maps'
+  | 'light data'
+  | 'gbuffer'
+  | 'tiles'
+  | 'composite'
+  | 'coverage'
+  | 'picture'
+
+const OPTION_KEYS: Readonly<Record<keyof RendererOptions, Key>> = {
+  exposure: 'display options',
+  showVals: 'display options',
+  softClip: 'display options',
+  shadows: 'shading options',
+  indirectOcclusion: 'shading options',
+  tiled: 'shading options',
+  fullQuality: 'quality',
+  antiAliasing: 'edges',
+}
+
+/** Side of a streamed atlas tile, texels. */
+const ATLAS_TILE = 32
+
+export interface PickedSurface {
+  /** -1 = a real surface. */
+  readonly objectIndex: number
+  readonly positionWorld: Vector3
+  readonly normalWorld: Vector3
+}
+
+export class Renderer {
+  readonly #canvas: HTMLCanvasElement
+  readonly #assets: SceneAssets
+  readonly #options: RendererOptions
+  readonly #runner = new PassRunner<Key>()
+  readonly #maps = new ShadowMaps()
+  readonly #poses: Float32Array[]
+  readonly #changedSlots = new Uint8Array(MAX_VALS)
+  readonly #atlasTiles = new Map<number, Uint32Array>()
+  #atlasSize = { width: 0, height: 0 }
+  #vals = new Float32Array(MAX_VALS * 16)
+  #valCount = 0
+  #objectSh: Float32Array
+  #weights: Float32Array
+  #objects: ObjectState[] = []
+  #camera: CameraChoice = { kind: 'tablet', viewIndex: 0 }
+  #size = { width: 1, height: 1 }
+  #device: Device
+  #gpu: GpuState
+  #objectsMoved = true
+  #mode: ShadingMode = 'composite'
+  #lost = false
+
+  /**
+   * Makes a renderer on a canvas.
+   *
+   * @throws RendererError with words for the user: no WebGL2, a missing ability, a refused shader, too many objects.
+   */
+  static async create(
+    canvas: HTMLCanvasElement,
+    assets: SceneAssets,
+    options: Partial<RendererOptions> = {},
+  ): Promise<Renderer> {
+    return new Renderer(canvas, assets, { ...DEFAULT_OPTIONS, ...options })
+  }
+
+  private constructor(canvas: HTMLCanvasElement, assets: SceneAssets, options: RendererOptions) {
+    if (assets.objects.length > MAX_OBJECTS) {
+      throw new RendererError(
+        `The scene has ${assets.objects.length} virtual objects; this renderer draws at most ${MAX_OBJECTS}.`,
+      )
+    }
+    this.#canvas = canvas
+    this.#assets = assets
+    this.#options = options
+    this.#poses = assets.objects.map((object) => fromRowMajor(object.worldFromObject))
+    this.#weights = Float32Array.from(assets.lights, (light) => light.weight)
+    this.#objectSh = new Float32Array(27 * assets.objects.length)
+    this.#device = openDevice(canvas)
+    this.#gpu = new GpuState(this.#device, assets)
+    this.#size = { width: canvas.width, height: canvas.height }
+    canvas.addEventListener('webglcontextlost', this.#onLost)
+    canvas.addEventListener('webglcontextrestored', this.#onRestored)
+  }
+
+  /** Light to show; the arrays are copied. */
+  setLight(frame: LightFrame): void {
+    this.#vals.set(frame.vals.subarray(0, this.#vals.length))
+    this.#valCount = Math.min(frame.count, MAX_VALS)
+    this.#objectSh = frame.objectSh.slice()
+    frame.changedSlots.forEach((changed, slot) => {
+      if (changed) this.#changedSlots[slot] = 1
+    })
+    this.#runner.touch('light')
+  }
+
+  setCamera(camera: CameraChoice): void {
+    if (camera.kind === 'tablet' && !this.#assets.views[camera.viewIndex]) {
+      throw new RendererError(
+        `View ${camera.viewIndex} does not exist; the scene has ${this.#assets.views.length}.`,
+      )
+    }
+    this.#camera =
+      camera.kind === 'tablet'
+        ? { ...camera }
+        : { ...camera, worldFromCamera: { elements: Float32Array.from(camera.worldFromCamera.elements) } }
+    this.#runner.touch('camera')
+  }
+
+  setObjectPose(objectIndex: number, worldFromObject: MatrixLike): void {
+    const pose = this.#poses[objectIndex]
+    if (!pose) {
+      throw new RangeError(`object ${objectIndex}: expected 0 to ${this.#poses.length - 1}`)
+    }
+    const next = Float32Array.from(worldFromObject.elements)
+    if (next.every((value, i) => value === pose[i])) return
+    this.#poses[objectIndex] = next
+    this.#objectsMoved = true
+    this.#runner.touch('poses')
+  }
+
+  /** Weight of every lamp in the background pictures. */
+  setLightWeights(weights: Float32Array): void {
+    if (weights.every((value, i) => value === this.#weights[i]) && weights.length === this.#weights.length) {
+      return
+    }
+    this.#weights = weights.slice()
+    this.#runner.touch('weights')
+  }
+
+  /** Streamed radiance of the room, for cameras without pictures. */
+  updateAtlas(tiles: AtlasTiles): void {
+    if (tiles.width !== this.#atlasSize.width || tiles.height !== this.#atlasSize.height) {
+      this.#atlasTiles.clear()
+      this.#atlasSize = { width: tiles.width, height: tiles.height }
+    }
+    const texelsPerTile = ATLAS_TILE * ATLAS_TILE
+    for (let i = 0; 2 * i + 1 < tiles.positions.length; i++) {
+      const column = tiles.positions[2 * i] ?? 0
+      const row = tiles.positions[2 * i + 1] ?? 0
+      const texels = tiles.texels.slice(i * texelsPerTile, (i + 1) * texelsPerTile)
+      this.#atlasTiles.set(row * tiles.width + column, texels)
+      this.#uploadTile(column, row, texels)
+    }
+    this.#runner.touch('atlas')
+  }
+
+  #uploadTile(column: number, row: number, texels: Uint32Array): void {
+    const { width, height } = this.#atlasSize
+    this.#gpu.writeAtlas(width, height, column * ATLAS_TILE, row * ATLAS_TILE, ATLAS_TILE, texels)
+  }
+
+  setOptions(partial: Partial<RendererOptions>): void {
+    for (const [name, value] of Object.entries(partial) as [keyof RendererOptions, never][]) {
+      if (value !== undefined && this.#options[name] !== value) {
+        this.#options[name] = value
+        this.#runner.touch(OPTION_KEYS[name])
+        if (name === 'fullQuality') {
+          this.#maps.invalidate()
+        }
+      }
+    }
+  }
+
+  /** Size of the picture, also of the canvas, pixels. */
+  setSize(width: number, height: number): void {
+    if (width === this.#size.width && height === this.#size.height) return
+    this.#size = { width, height }
+    this.#canvas.width = width
+    this.#canvas.height = height
+    this.#runner.touch('size')
+  }
+
+  /** Shades something else than the composite; for tests of its definition. */
+  setShadingMode(mode: ShadingMode): void {
+    this.#mode = mode
+    this.#runner.touch('shading options')
+  }
+
+  /** Draws what changed. */
+  render(nowMs: number): FrameStats {
+    const start = performance.now()
+    const runner = this.#runner
+    runner.beginFrame()
+    if (this.#lost || !Number.isFinite(nowMs)) {
+      return { passes: [], cpuMs: 0, pending: this.#lost }
+    }
+    resetState(this.#device.gl)
+    const { width, height } = this.#size
+    const targets = this.#gpu.sized(width, height)
+    const camera = this.#cameraState()
+    this.#lightObjects()
+    const frame = this.#frame(camera)
+    this.#drawInputs(frame, targets)
+    this.#shade(frame, targets)
+    return {
+      passes: runner.reports,
+      cpuMs: performance.now() - start,
+      pending: this.#options.shadows && this.#maps.pending,
+    }
+  }
+
+  #frame(camera: CameraState): Frame {
+    return {
+      camera,
+      options: this.#options,
+      objects: this.#objects,
+      valData: this.#gpu.valData,
+      objectData: this.#gpu.objectData,
+      valCount: this.#valCount,
+    }
+  }
+
+  #lightObjects(): void {
+    this.#runner.run('object light', ['light', 'poses'], ['object light'], () => {
+      const light = { vals: this.#vals, count: this.#valCount, objectSh: this.#objectSh }
+      this.#objects = this.#assets.objects.map((asset, index) =>
+        lightObject(asset, index, this.#poses[index] as Float32Array, light, this.#assets.roomTriangles),
+      )
+      const spheres = this.#objects.map((object) => ({
+        centre: worldCentre(object),
+        radius: object.asset.radius,
+      }))
+      this.#maps.update(this.#vals, this.#valCount, this.#changedSlots, spheres, this.#objectsMoved)
+      this.#changedSlots.fill(0)
+      this.#objectsMoved = false
+    })
+  }
+
+  /** Background, shadow maps, uploads, G-buffer, tiles. */
+  #drawInputs(frame: Frame, targets: SizedTargets): void {
+    const runner = this.#runner
+    const gpu = this.#gpu
+    if (frame.camera.hasPicture) {
+      runner.run('background', ['size', 'camera', 'weights'], ['background'], () =>
+        gpu.background.run(targets.background, frame.camera.viewIndex, this.#weights),
+      )
+    } else {
+      runner.skip('background', 'the room is drawn from its atlas')
+    }
+    if (!this.#options.shadows) {
+      runner.skip('shadow maps', 'switched off')
+    } else if (this.#maps.pending) {
+      runner.touch('quality')
+      runner.run('shadow maps', ['quality'], ['shadow maps'], () => {
+        const limit = this.#options.fullQuality ? MAX_VALS : LIVE_MAPS_PER_FRAME
+        const work = this.#maps.take(limit)
+        this.#shadowPass().run(work, (slot) => this.#maps.position(slot), this.#maps.drawn, frame, gpu.meshes)
+      })
+    } else {
+      runner.idle('shadow maps')
+    }
+    runner.run('light data', ['object light', 'shadow maps'], ['light data'], () => {
+      gpu.valData.upload(packVals(this.#vals, this.#valCount, this.#maps.drawn))
+      gpu.objectData.upload(packObjects(this.#objects, gpu.shade.slabStarts))
+    })
+    const atlasKeys: Key[] = frame.camera.hasPicture ? [] : ['atlas']
+    runner.run('gbuffer', ['size', 'camera', 'object light', ...atlasKeys], ['gbuffer'], () =>
+      gpu.gbuffer.run(targets.gbuffer, frame, gpu.meshes, gpu.atlas),
+    )
+    if (this.#options.tiled && this.#mode === 'composite') {
+      runner.run('tiles', ['gbuffer', 'light data'], ['tiles'], () =>
+        gpu.tiles.run(targets.tiles, frame, targets.gbuffer),
+      )
+    } else {
+      runner.skip('tiles', 'switched off')
+    }
+  }
+
+  /** Composite, edges, display. */
+  #shade(frame: Frame, targets: SizedTargets): void {
+    const runner = this.#runner
+    const gpu = this.#gpu
+    runner.run(
+      'shade',
+      ['background', 'gbuffer', 'tiles', 'light data', 'shading options', 'quality'],
+      ['composite'],
+      () =>
+        gpu.shade.run(
+          targets.composite,
+          frame,
+          targets.gbuffer,
+          targets.background,
+          targets.tiles,
+          this.#shadowPass(),
+          this.#mode,
+        ),
+    )
+    const { antiAliasing } = this.#options
+    if (antiAliasing) {
+      runner.run('coverage', ['size', 'camera', 'poses'], ['coverage'], () =>
+        targets.coverage.run(frame, gpu.meshes),
+      )
+      runner.run('resolve', ['composite', 'coverage', 'edges'], ['picture'], () =>
+        gpu.resolve.run(
+          targets.picture,
+          frame,
+          targets.composite,
+          targets.coverage.resolved,
+          targets.background,
+        ),
+      )
+    } else {
+      runner.skip('coverage', 'switched off')
+      runner.skip('resolve', 'switched off')
+    }
+    runner.run('display', ['composite', 'picture', 'edges', 'display options'], [], () =>
+      gpu.display.run(frame, antiAliasing ? targets.picture : targets.composite, targets.gbuffer),
+    )
+  }
+
+  #shadowPass(): ReturnType<GpuState['shadows']> {
+    return this.#gpu.shadows(this.#options.fullQuality ? 'full' : 'live')
+  }
+
+  #cameraState(): CameraState {
+    const camera = this.#camera
+    const { width, height } = this.#size
+    const view = camera.kind === 'tablet' ? this.#assets.views[camera.viewIndex] : undefined
+    const lens: Lens = view
+      ? resizeLens(view, width, height)
+      : centredLens(width, height, camera.kind === 'free' ? camera.verticalFov : Math.PI / 3)
+    const worldFromCamera = view
+      ? fromRowMajor(view.worldFromCamera)
+      : Float32Array.from(camera.kind === 'free' ? camera.worldFromCamera.elements : [])
+    return {
+      kind: camera.kind,
+      viewIndex: camera.kind === 'tablet' ? camera.viewIndex : -1,
+      lens,
+      worldFromCamera,
+      clipFromWorld: clipFromWorld(lens, worldFromCamera),
+      hasPicture: (view?.pictures.length ?? 0) > 0,
+    }
+  }
+
+  /** Linear radiance RGBA of the last frame, row 0 on top; alpha = coverage by virtual objects. */
+  readComposite(): Float32Array {
+    const { gl } = this.#device
+    const { width, height } = this.#size
+    const targets = this.#gpu.sized(width, height)
+    const source = this.#options.antiAliasing ? targets.picture : targets.composite
+    const pixels = new Float32Array(4 * width * height)
+    gl.bindFramebuffer(gl.FRAMEBUFFER, source.framebuffer)
+    gl.readPixels(0, 0, width, height, gl.RGBA, gl.FLOAT, pixels)
+    const rowLength = 4 * width
+    const swap = new Float32Array(rowLength)
+    for (let top = 0, bottom = height - 1; top < bottom; top++, bottom--) {
+      swap.set(pixels.subarray(top * rowLength, (top + 1) * rowLength))
+      pixels.copyWithin(top * rowLength, bottom * rowLength, (bottom + 1) * rowLength)
+      pixels.set(swap, bottom * rowLength)
+    }
+    return pixels
+  }
+
+  /** Nearest surface under a point of the picture (-1 to 1, y up), or null. */
+  pick(xNdc: number, yNdc: number): PickedSurface | null {
+    const camera = this.#cameraState()
+    const found = pickSurface(
+      {
+        room: this.#assets.roomTriangles,
+        objects: this.#assets.objects.map((mesh, index) => ({
+          mesh,
+          worldFromObject: this.#poses[index] as Float32Array,
+        })),
+      },
+      camera.lens,
+      camera.worldFromCamera,
+      xNdc,
+      yNdc,
+    )
+    return (
+      found && {
+        objectIndex: found.objectIndex,
+        positionWorld: new Vector3(...found.positionWorld),
+        normalWorld: new Vector3(...found.normalWorld),
+      }
+    )
+  }
+
+  readonly #onLost = (event: Event): void => {
+    // Without this the browser never gives the context back.
+    event.preventDefault()
+    this.#lost = true
+  }
+
+  readonly #onRestored = (): void => {
+    this.#device = probeDevice(this.#device.gl)
+    this.#gpu = new GpuState(this.#device, this.#assets)
+    this.#lost = false
+    this.#runner.reset()
+    this.#maps.invalidate()
+    for (const [key, texels] of this.#atlasTiles) {
+      this.#uploadTile(key % this.#atlasSize.width, Math.floor(key / this.#atlasSize.width), texels)
+    }
+  }
+
+  dispose(): void {
+    this.#canvas.removeEventListener('webglcontextlost', this.#onLost)
+    this.#canvas.removeEventListener('webglcontextrestored', this.#onRestored)
+    this.#gpu.dispose()
+  }
+}

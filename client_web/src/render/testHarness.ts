@@ -1,0 +1,146 @@
+/** A page without app around the renderer, driven by tests/client. Built by vite.harness.config.ts only; never part of the product. */
+import { Matrix4 } from 'three'
+import { FLOATS_PER_VAL, MAX_VALS } from '../radiometry/valLight'
+import type { LightFrame } from '../state/lightState'
+import type { SceneDescription } from '../state/sceneDescription'
+import { loadSceneAssets } from './assets'
+import type { ShadingMode } from './passes/shadePass'
+import { Renderer } from './renderer'
+import type { FrameStats, ObjectAsset, RendererOptions, SceneAssets, ViewAsset } from './types'
+
+interface PlainMesh {
+  positions: number[]
+  normals: number[]
+  indices: number[]
+}
+
+/** A synthetic scene as JSON. */
+interface PlainScene {
+  room: PlainMesh & { albedo: number[] }
+  objects: (PlainMesh & {
+    albedo: [number, number, number]
+    worldFromObject: number[]
+    centre: [number, number, number]
+    radius: number
+  })[]
+  views: Omit<ViewAsset, 'pictures'>[]
+}
+
+interface PlainVal {
+  position: number[]
+  normal: number[]
+  radiantIntensity: number[]
+  area: number
+}
+
+function synthetic(scene: PlainScene): SceneAssets {
+  const { room } = scene
+  const roomAsset = {
+    positions: Float32Array.from(room.positions),
+    normals: Float32Array.from(room.normals),
+    indices: Uint32Array.from(room.indices),
+    albedo: Float32Array.from(room.albedo),
+    uv: new Float32Array((2 * room.positions.length) / 3),
+  }
+  return {
+    room: roomAsset,
+    objects: scene.objects.map((object): ObjectAsset => {
+      const zeros = new Float32Array(3 * object.positions.length)
+      return {
+        name: 'synthetic',
+        ...object,
+        positions: Float32Array.from(object.positions),
+        normals: Float32Array.from(object.normals),
+        indices: Uint32Array.from(object.indices),
+        shadowed: zeros,
+        bounce1: zeros,
+        bounce2: zeros,
+        bounceRatio: 0,
+        shadowProxy: {
+          positions: Float32Array.from(object.positions),
+          indices: Uint32Array.from(object.indices),
+        },
+        occlusionField: null,
+      }
+    }),
+    views: scene.views.map((view) => ({ ...view, pictures: [] })),
+    lights: [],
+    roomTriangles: { positions: roomAsset.positions, indices: roomAsset.indices },
+  }
+}
+
+function lightFrame(vals: readonly PlainVal[], objectSh: readonly number[]): LightFrame {
+  const packed = new Float32Array(MAX_VALS * FLOATS_PER_VAL)
+  vals.forEach((val, slot) => {
+    packed.set([...val.position, val.area, ...val.normal, 0, ...val.radiantIntensity], slot * FLOATS_PER_VAL)
+  })
+  return {
+    vals: packed,
+    count: vals.length,
+    objectSh: Float32Array.from(objectSh),
+    positionsChanged: true,
+    changedSlots: new Uint8Array(MAX_VALS).fill(1),
+    revision: 1,
+  }
+}
+
+async function toBase64(values: Float32Array): Promise<string> {
+  const reader = new FileReader()
+  const done = new Promise<string>((resolve) => {
+    reader.onload = () => resolve((reader.result as string).split(',')[1] ?? '')
+  })
+  reader.readAsDataURL(new Blob([values as Float32Array<ArrayBuffer>]))
+  return done
+}
+
+let current: Renderer | null = null
+
+function renderer(): Renderer {
+  if (!current) throw new Error('call create first')
+  return current
+}
+
+async function start(assets: SceneAssets, options: Partial<RendererOptions>): Promise<void> {
+  current?.dispose()
+  document.querySelector('canvas')?.remove()
+  const canvas = document.body.appendChild(document.createElement('canvas'))
+  current = await Renderer.create(canvas, assets, options)
+}
+
+const harness = {
+  create: (scene: PlainScene, options: Partial<RendererOptions>) => start(synthetic(scene), options),
+  load: async (scene: SceneDescription, options: Partial<RendererOptions>) =>
+    start(await loadSceneAssets(scene), options),
+  setLight: (vals: PlainVal[], objectSh: number[] = []) => renderer().setLight(lightFrame(vals, objectSh)),
+  setSize: (width: number, height: number) => renderer().setSize(width, height),
+  setView: (viewIndex: number) => renderer().setCamera({ kind: 'tablet', viewIndex }),
+  setFreeCamera: (rowMajor: number[], verticalFov: number) =>
+    renderer().setCamera({
+      kind: 'free',
+      worldFromCamera: new Matrix4().fromArray(rowMajor).transpose(),
+      verticalFov,
+    }),
+  setPose: (index: number, rowMajor: number[]) =>
+    renderer().setObjectPose(index, new Matrix4().fromArray(rowMajor).transpose()),
+  setWeights: (weights: number[]) => renderer().setLightWeights(Float32Array.from(weights)),
+  setOptions: (options: Partial<RendererOptions>) => renderer().setOptions(options),
+  setMode: (mode: ShadingMode) => renderer().setShadingMode(mode),
+  render: (): FrameStats => renderer().render(performance.now()),
+  /** Draws until nothing is left over, then reads linear RGBA. */
+  picture: (): Promise<string> => {
+    while (renderer().render(performance.now()).pending);
+    return toBase64(renderer().readComposite())
+  },
+  pick: (x: number, y: number) => {
+    const hit = renderer().pick(x, y)
+    return hit && { objectIndex: hit.objectIndex, position: hit.positionWorld.toArray() }
+  },
+}
+
+declare global {
+  interface Window {
+    harness: typeof harness
+  }
+}
+
+window.harness = harness
