@@ -78,7 +78,10 @@ class FrameCollector:
 
 
 def camera_report(
-    readers: Sequence[FrameRingReader], camera_ids: Sequence[str], now_ns: int
+    readers: Sequence[FrameRingReader],
+    camera_ids: Sequence[str],
+    now_ns: int,
+    stale_after_s: float = STALE_AFTER_S,
 ) -> list[dict[str, Any]]:
     """Return age and staleness per camera, for the status message; a camera that never delivered has age null and is stale."""
     report = []
@@ -89,7 +92,7 @@ def camera_report(
             {
                 "camera_id": camera_id,
                 "age_s": round(max(age_s, 0.0), 4) if np.isfinite(age_s) else None,
-                "stale": bool(age_s > STALE_AFTER_S),
+                "stale": bool(age_s > stale_after_s),
                 "generation": reader.generation,
             }
         )

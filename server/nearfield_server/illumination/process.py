@@ -20,7 +20,7 @@ from nearfield_server.capture.frame_ring import FrameRingReader, FrameSignal, Ri
 from nearfield_server.geometry.cache import load_or_build
 from nearfield_server.geometry.probes import ProbeRays
 from nearfield_server.illumination.atlas_channel import AtlasChannel, build_downsampler
-from nearfield_server.illumination.frames import FrameCollector, camera_report
+from nearfield_server.illumination.frames import STALE_AFTER_S, FrameCollector, camera_report
 from nearfield_server.illumination.packet import PacketWriter
 from nearfield_server.pipeline.runner import LightPipeline
 from nearfield_server.records import LightUpdate, ObjectPose, RoomMesh, TexelGeometry, UnseenFill
@@ -138,10 +138,10 @@ class Illumination:
             if tiles is not None:
                 self._worker.bus.put(LIGHT_ATLAS, encode_atlas_tiles(tiles), must_arrive=True)
 
-    def status(self, camera_ids: list[str]) -> dict[str, Any]:
+    def status(self, camera_ids: list[str], stale_after_s: float) -> dict[str, Any]:
         """Return the fields of the status message."""
         now_ns = time.monotonic_ns()
-        cameras = camera_report(self._collector.readers, camera_ids, now_ns)
+        cameras = camera_report(self._collector.readers, camera_ids, now_ns, stale_after_s)
         ages = [camera["age_s"] for camera in cameras if camera["age_s"] is not None]
         status: dict[str, Any] = {
             "backend": self._pipeline.backend_name,
@@ -215,11 +215,13 @@ def main(worker: Worker) -> None:
     signal = FrameSignal(worker.spec.signal_fd)
     worker.on_control(signal.notify)
     camera_ids = [camera.camera_id for camera in room.cameras]
+    # A camera asked for one frame in two seconds is not stale in between.
+    stale_after_s = max(STALE_AFTER_S, 3.0 / (worker.spec.options.get("frame_rate") or room.frame_rate))
     while not worker.stop.is_set():
         state = worker.control
         assert state is not None
         illumination.step(state, time.monotonic())
-        worker.beat(preparing="", **illumination.status(camera_ids))
+        worker.beat(preparing="", **illumination.status(camera_ids, stale_after_s))
         signal.wait(_WAIT_S)
 
 

@@ -81,5 +81,6 @@ def test_age_counts_from_the_last_sign_of_the_camera(
     assert [entry["age_s"] for entry in report] == [0.5, None]
     assert [entry["stale"] for entry in report] == [False, True]
     assert camera_report(readers, ["l", "r"], 7 * second)[0]["stale"]
+    assert not camera_report(readers, ["l", "r"], 7 * second, stale_after_s=3.0)[0]["stale"]
     writers[0].confirm(7 * second)
     assert camera_report(readers, ["l", "r"], 7 * second)[0]["age_s"] == 0.0
