@@ -10,18 +10,19 @@ class Health:
     """Judges one process by its status messages and its liveliness token. Pure: the caller brings the time.
 
     Attributes:
-        silent_limit_s: without any status after the first one, the process is frozen.
-        start_limit_s: longest time to the first status.
+        silent_limit_s: without any status while it runs, the process is frozen.
+        lost_limit_s: the same, once the liveliness token is gone too.
         beat_limit_s: oldest beat of a main loop that runs.
-        preparing_limit_s: oldest beat of a process that prepares (a large room takes a while to load).
-        lost_limit_s: the same as `silent_limit_s`, once the liveliness token is gone too.
+        start_limit_s: longest silence before the first status and while it prepares; imports and compilers are slow on a busy machine,
+            and killing a process that only needs time would cost that time again.
+        preparing_limit_s: oldest beat while it prepares (a large room takes a while to load).
     """
 
     silent_limit_s: float = 5.0
-    start_limit_s: float = 30.0
-    beat_limit_s: float = 8.0
-    preparing_limit_s: float = 600.0
     lost_limit_s: float = 3.0
+    beat_limit_s: float = 8.0
+    start_limit_s: float = 120.0
+    preparing_limit_s: float = 600.0
     _started_s: float = 0.0
     _last_status_s: float | None = None
     _beat_age_s: float = 0.0
@@ -52,12 +53,12 @@ class Health:
                 return f"no status within {self.start_limit_s:.0f} s of its start"
             return None
         silent_s = now_s - self._last_status_s
-        if self._token_lost and silent_s > self.lost_limit_s:
+        runs = self._phase == "running"
+        if runs and self._token_lost and silent_s > self.lost_limit_s:
             return f"liveliness token lost and no status for {silent_s:.1f} s"
-        if silent_s > self.silent_limit_s:
+        if silent_s > (self.silent_limit_s if runs else self.start_limit_s):
             return f"no status for {silent_s:.1f} s"
         beat_age_s = self._beat_age_s + silent_s
-        limit_s = self.beat_limit_s if self._phase == "running" else self.preparing_limit_s
-        if beat_age_s > limit_s:
+        if beat_age_s > (self.beat_limit_s if runs else self.preparing_limit_s):
             return f"main loop stands still for {beat_age_s:.1f} s ({self._phase})"
         return None

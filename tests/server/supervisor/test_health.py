@@ -49,6 +49,13 @@ def test_preparing_may_take_minutes(health: Health) -> None:
     assert "stands still" in (health.fault(900.0) or "")
 
 
+def test_a_preparing_process_may_be_silent_for_as_long_as_a_starting_one(health: Health) -> None:
+    health.status(101.0, "starting", 0.0)
+    health.token(False)
+    assert health.fault(101.0 + health.start_limit_s) is None
+    assert "no status for" in (health.fault(101.1 + health.start_limit_s) or "")
+
+
 def test_a_new_process_is_judged_afresh(health: Health) -> None:
     health.status(101.0, "running", 0.0)
     health.token(False)
