@@ -1,9 +1,8 @@
 """Irradiance on virtual objects, computed from a light packet as the client shades it, but with ray-cast visibility.
 
-Per point: every VAL in disc form times the part of its disc that room and virtual objects leave visible, plus the transfer of
-the object times the SH of
-the indirect light, plus the self-interreflection of the VALs' light (the bounce part of the transfer times the VALs' own SH at
-the object's centre).
+Per point: every VAL in disc form times the part of its disc that room and virtual objects leave visible, plus the transfer
+of the object (less its ground shadow where it stands on a surface) times the SH of the indirect light, plus the
+self-interreflection of the VALs' light (the bounce part of the transfer times the VALs' own SH at the object's centre).
 """
 
 from __future__ import annotations
@@ -17,6 +16,7 @@ from scipy.spatial import cKDTree
 
 from nearfield_server.radiometry.form_factor import val_irradiance
 from nearfield_server.radiometry.sh import rotate_sh, sh_basis
+from nearfield_server.scene.ground_shadow import ground_contact
 from nearfield_server.scene.prepared_model import PreparedModel
 from nearfield_server.scene.ray_caster import RayCaster
 
@@ -118,7 +118,10 @@ def estimate_irradiance(
         shadowed = np.einsum("pc,pck->pk", weights[1], item.model.transfer.shadowed[weights[0]])
         sh = rotate_sh(np.asarray(object_sh[index], np.float64), object_from_world[:3, :3])
         val_sh = rotate_sh(val_sh_coeffs(item.centre_world, lit, room_caster), object_from_world[:3, :3])
-        indirect[mine] = np.einsum("pki,ki->pi", total, sh)
+        low, high = item.model.positions.min(axis=0), item.model.positions.max(axis=0)
+        contact = ground_contact(low, high, item.model.radius, item.world_from_object, room_caster)
+        ground = contact * np.einsum("pc,pck->pk", weights[1], item.model.ground_shadow[weights[0]])
+        indirect[mine] = np.maximum(np.einsum("pki,ki->pi", total - ground[..., None], sh), 0.0)
         bounced[mine] = np.einsum("pki,ki->pi", total - shadowed[..., None], val_sh)
     return IrradianceParts(direct=direct, indirect=indirect, bounced=bounced)
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nearfield_server.errors import AssetError
+from nearfield_server.scene.ground_shadow import compute_ground_shadow
 from nearfield_server.scene.model_source import load_source_model
 from nearfield_server.scene.occlusion_field import compute_occlusion_field
 from nearfield_server.scene.prepared_model import PreparedModel, save_prepared, source_hash
@@ -62,6 +63,15 @@ def prepare_model(
         seed=seed,
         progress=report("transfer"),
     )
+    ground_shadow = compute_ground_shadow(
+        source.positions,
+        source.normals,
+        source.faces,
+        float(colour.mean()),
+        samples_per_vertex=SAMPLES_PER_VERTEX[preset],
+        seed=seed,
+        progress=report("ground shadow"),
+    )
     field = compute_occlusion_field(source.positions, source.faces, progress=report("occlusion field"))
     low, high = source.positions.min(axis=0), source.positions.max(axis=0)
     centre = 0.5 * (low + high)
@@ -71,6 +81,7 @@ def prepare_model(
         faces=source.faces.astype(np.int32),
         albedo=colour,
         transfer=transfer,
+        ground_shadow=ground_shadow,
         proxy=make_shadow_proxy(source.positions, source.faces),
         occlusion_field=field,
         centre=centre,

@@ -23,7 +23,7 @@ from nearfield_server.scene.transfer import Transfer
 FORMAT_VERSION = 1
 """Of `extras.nearfield`; part of the cache key, so a change makes cached models be prepared again."""
 
-_TRANSFER_ATTRIBUTES = ("_SHADOWED", "_BOUNCE1", "_BOUNCE2")
+_TRANSFER_ATTRIBUTES = ("_SHADOWED", "_BOUNCE1", "_BOUNCE2", "_GROUND")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -34,6 +34,7 @@ class PreparedModel:
         positions: (V, 3) float32. normals: (V, 3) float32 unit. faces: (F, 3) int32.
         albedo: (3,) float64 linear, of the material; a room file may override it.
         transfer: coefficients per vertex.
+        ground_shadow: (V, 9) float64, subtracted from the transfer of indirect light where the object stands on a surface.
         proxy: decimated mesh for shadow maps.
         occlusion_field: what the object blocks, seen from around it.
         centre: (3,) float64, centre of the bounding sphere. radius: of it.
@@ -45,6 +46,7 @@ class PreparedModel:
     faces: NDArray[np.int32]
     albedo: NDArray[np.float64]
     transfer: Transfer
+    ground_shadow: NDArray[np.float64]
     proxy: ShadowProxy
     occlusion_field: OcclusionField
     centre: NDArray[np.float64]
@@ -171,7 +173,8 @@ def _encode(model: PreparedModel) -> bytes:
         "POSITION": writer.add_vectors(model.positions),
         "NORMAL": writer.add_vectors(model.normals),
     }
-    tables = (model.transfer.shadowed, model.transfer.bounce1, model.transfer.bounce2)
+    transfer = model.transfer
+    tables = (transfer.shadowed, transfer.bounce1, transfer.bounce2, model.ground_shadow)
     for name, table in zip(_TRANSFER_ATTRIBUTES, tables, strict=True):
         for part in range(3):
             attributes[f"{name}_{part}"] = writer.add_vectors(table[:, 3 * part : 3 * part + 3])
@@ -211,7 +214,7 @@ def _encode(model: PreparedModel) -> bytes:
             "source_hash": model.source_hash,
             "centre": model.centre.tolist(),
             "radius": model.radius,
-            "bounceRatio": model.transfer.bounce_ratio,
+            "bounceRatio": transfer.bounce_ratio,
             "shadowProxyError": model.proxy.hausdorff,
             "occlusionField": {
                 "resolution": list(field.resolution),
@@ -236,7 +239,7 @@ def _decode(path: Path, document: dict[str, Any], binary: bytes, info: dict[str,
         return values
 
     positions = vectors("POSITION")
-    shadowed, bounce1, bounce2 = (
+    shadowed, bounce1, bounce2, ground_shadow = (
         np.concatenate([vectors(f"{name}_{part}") for part in range(3)], axis=1)
         for name in _TRANSFER_ATTRIBUTES
     )
@@ -257,6 +260,7 @@ def _decode(path: Path, document: dict[str, Any], binary: bytes, info: dict[str,
         faces=_faces(buffers, primitive["indices"], len(positions)),
         albedo=np.asarray(material["pbrMetallicRoughness"]["baseColorFactor"], np.float64)[:3],
         transfer=Transfer(shadowed=shadowed, bounce1=bounce1, bounce2=bounce2, bounce_ratio=ratio),
+        ground_shadow=ground_shadow,
         proxy=proxy,
         occlusion_field=_field(document, binary, info["occlusionField"]),
         centre=np.asarray(info["centre"], np.float64).reshape(3),

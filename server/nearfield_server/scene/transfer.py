@@ -30,8 +30,8 @@ SAMPLES_PER_VERTEX = {"preview": 100, "medium": 625, "high": 2500}
 
 # Start of a ray above its vertex, relative to the radius: far above the float32 rounding of the ray caster (about 1e-7), far
 # below any detail that matters.
-_OFFSET = 2e-5
-_RAYS_PER_BATCH = 1 << 20
+RAY_OFFSET = 2e-5
+RAYS_PER_BATCH = 1 << 20
 
 Progress = Callable[[int, int], None]
 
@@ -117,21 +117,21 @@ def _trace(
     # Rays are float32: keep coordinates small for models that lie far from their origin.
     local = np.asarray(positions, np.float64) - centre
     unit_normals = np.asarray(normals, np.float64)
-    offset = _OFFSET * float(np.max(np.linalg.norm(local, axis=1)))
+    offset = RAY_OFFSET * float(np.max(np.linalg.norm(local, axis=1)))
     corners = local[faces]
     face_normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     caster = RayCaster(local, faces)
 
     count = len(local)
     shifts = np.random.default_rng(seed).random((count, 2))
-    pattern = _r2_pattern(num_samples)
+    pattern = r2_pattern(num_samples)
     shadowed = clamped_cosine_coeffs(unit_normals)
     rows: list[sparse.csr_matrix] = []
-    batch = max(1, _RAYS_PER_BATCH // num_samples)
+    batch = max(1, RAYS_PER_BATCH // num_samples)
     for start in range(0, count, batch):
         part = slice(start, min(start + batch, count))
         n = part.stop - start
-        directions = _cosine_directions(unit_normals[part], shifts[part], pattern)
+        directions = cosine_directions(unit_normals[part], shifts[part], pattern)
         origins = np.repeat(local[part] + offset * unit_normals[part], num_samples, axis=0)
         hits = caster.closest(origins, directions)
         vertex = np.repeat(np.arange(n), num_samples)
@@ -142,13 +142,13 @@ def _trace(
         )
         shadowed[part] -= (np.pi / num_samples) * (per_vertex @ lost)
         facing = np.einsum("ij,ij->i", face_normals[hits.face[blocked]], directions[blocked]) < 0.0
-        rows.append(_bounce_rows(hits, blocked[facing], vertex, np.asarray(faces), (n, count), num_samples))
+        rows.append(bounce_rows(hits, blocked[facing], vertex, np.asarray(faces), (n, count), num_samples))
         if progress is not None:
             progress(part.stop, count)
     return sparse.vstack(rows, format="csr"), shadowed
 
 
-def _bounce_rows(
+def bounce_rows(
     hits: RayHits,
     lit: NDArray[np.intp],
     vertex: NDArray[np.intp],
@@ -163,14 +163,14 @@ def _bounce_rows(
     return sparse.csr_matrix((weights.ravel(), (np.repeat(vertex[lit], 3), columns.ravel())), shape)
 
 
-def _r2_pattern(count: int) -> NDArray[np.float64]:
+def r2_pattern(count: int) -> NDArray[np.float64]:
     """First points of the R2 sequence (Roberts 2018) on the unit torus: (count, 2)."""
     plastic = 1.324717957244746
     steps = np.array([1.0 / plastic, 1.0 / plastic**2])
     return np.asarray((0.5 + np.arange(count)[:, None] * steps) % 1.0)
 
 
-def _cosine_directions(
+def cosine_directions(
     normals: NDArray[np.float64], shifts: NDArray[np.float64], pattern: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Directions of density cos / pi about each normal: (n, 3), (n, 2), (s, 2) -> (n * s, 3), vertex by vertex."""

@@ -27,6 +27,7 @@ def placed(mesh, world_from_object=None, albedo=0.5, samples=400):
         faces=faces.astype(np.int32),
         albedo=np.full(3, albedo),
         transfer=compute_transfer(positions, normals, faces, samples_per_vertex=samples),
+        ground_shadow=np.zeros((len(positions), 9)),
         proxy=make_shadow_proxy(positions, faces),
         occlusion_field=compute_occlusion_field(positions, faces, max_resolution=4, num_rays=16),
         centre=np.zeros(3),
