@@ -11,7 +11,7 @@ from typing import Any
 from fastapi import FastAPI, Request, WebSocket
 from fastapi.responses import FileResponse, HTMLResponse, JSONResponse, Response
 from starlette.exceptions import HTTPException
-from starlette.staticfiles import StaticFiles
+from starlette.staticfiles import NotModifiedResponse, StaticFiles
 
 from nearfield_protocol.layout import VERSION
 from nearfield_server.gateway.connection import serve_websocket
@@ -150,7 +150,15 @@ def _add_files(app: FastAPI, static: StaticFiles, static_dir: Path, assets: dict
             # The built client keeps its scripts and styles under the same prefix.
             return await static.get_response(f"assets/{path}", request.scope)
         media_type = MEDIA_TYPES.get(file.suffix, "application/octet-stream")
-        return FileResponse(file, media_type=media_type, headers={"Cache-Control": "no-cache"})
+        try:
+            found = await asyncio.to_thread(file.stat)
+        except OSError:
+            raise HTTPException(404, f"{path} is no longer there") from None
+        headers = {"Cache-Control": "no-cache"}
+        response = FileResponse(file, media_type=media_type, headers=headers, stat_result=found)
+        if static.is_not_modified(response.headers, request.headers):
+            return NotModifiedResponse(response.headers)
+        return response
 
 
 def _finite(value: float) -> float | None:

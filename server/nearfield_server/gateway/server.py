@@ -78,6 +78,8 @@ def make_server(app: ASGIApp, **options: Any) -> uvicorn.Server:
         "server_header": False,
         "proxy_headers": False,
         "timeout_keep_alive": 5,
+        # Far above what the allowed clients need; bounds what a flood of connections can cost.
+        "limit_concurrency": 512,
         "timeout_graceful_shutdown": _SHUTDOWN_S,
     }
     return _Server(uvicorn.Config(app, **{**settings, **options}))

@@ -54,6 +54,8 @@ def test_assets_by_whitelist(start_gateway: StartGateway, tmp_path: Path) -> Non
     assert answer.content == model.read_bytes()
     assert answer.headers["content-type"] == "model/gltf-binary"
     assert int(httpx.head(url + "assets/objects/bunny.glb").headers["content-length"]) == 256
+    again = httpx.get(url + "assets/objects/bunny.glb", headers={"If-None-Match": answer.headers["etag"]})
+    assert (again.status_code, again.content) == (304, b"")
     assert httpx.get(url + "assets/objects/other.glb").status_code == 404
     assert httpx.post(url + "assets/objects/bunny.glb").status_code in (404, 405)
 
