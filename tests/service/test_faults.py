@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import socket
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -12,10 +13,6 @@ import pytest
 from tests.service.harness import Service, child_pids, is_alive, open_files, wait_gone
 
 pytestmark = pytest.mark.service
-
-
-def _everything(service: Service, pids: dict[str, int]) -> list[int]:
-    return [service.process.pid, *pids.values()]
 
 
 @pytest.fixture
@@ -125,9 +122,28 @@ def test_a_signal_ends_the_service_cleanly(
     start_service: Callable[..., Service],
     shared_memory: list[str],
     number: signal.Signals,
+    tmp_path: Path,
     record_property: Callable[[str, object], None],
 ) -> None:
-    service = start_service()
+    """Told to end by a person or by systemd, which is told about it in turn."""
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager:
+        manager.bind(str(tmp_path / "notify"))
+        manager.settimeout(60)
+        service = start_service(NOTIFY_SOCKET=str(tmp_path / "notify"))
+        assert manager.recv(100) == b"READY=1"
+        assert manager.recv(100) == b"WATCHDOG=1"
+        _end_and_look(service, shared_memory, number, record_property)
+        manager.setblocking(False)
+        while (message := manager.recv(100)) != b"STOPPING=1":
+            assert message == b"WATCHDOG=1"
+
+
+def _end_and_look(
+    service: Service,
+    shared_memory: list[str],
+    number: signal.Signals,
+    record_property: Callable[[str, object], None],
+) -> None:
     pids = service.running()
     asked_s = time.monotonic()
     service.process.send_signal(number)

@@ -14,7 +14,8 @@ class RawFrame:
     """One picture as the source delivers it, before the checks of `ingest`.
 
     Attributes:
-        pixels: (H, W, 3 or 4) float32 or float16, linear radiance; a fourth channel <= 0.5 marks invalid pixels.
+        pixels: (H, W, 3 or 4) float32 or float16, linear radiance; a fourth channel <= 0.5 marks invalid pixels. Valid until the
+            next call of `next_frame`: sources may reuse the memory.
         timestamp_ns: capture time, CLOCK_MONOTONIC.
         content_revision: from 1 upwards; must change whenever the pixels do, and should not otherwise.
         counters: numbers of the source itself for the status page ("saturated", "unreadable_files", ...).

@@ -116,10 +116,11 @@ class Supervisor:
             if now_s - self._published_s >= _PUBLISH_PERIOD_S:
                 self._published_s = now_s
                 self._publish(now_s)
-                if all_running:
-                    notify_systemd("READY=1" if not self._ready else "WATCHDOG=1")
+                if all_running and self._ready:
+                    notify_systemd("WATCHDOG=1")
             if all_running and not self._ready:
                 self._ready = True
+                notify_systemd("READY=1")
                 _log.info("service ready", seconds=round(now_s - self._started_s, 2), port=self.port)
 
     def close(self) -> None:
