@@ -172,6 +172,13 @@ def test_reader_with_a_full_socket_is_dropped(start_gateway: StartGateway) -> No
         assert revision > 8
 
 
+def test_compression_is_declined(start_gateway: StartGateway) -> None:
+    """permessage-deflate lets 15 kB grow to 15 MB in the server."""
+    tablet = start_gateway().tablet(compression="deflate")
+    assert tablet.websocket.response is not None
+    assert "Sec-WebSocket-Extensions" not in tablet.websocket.response.headers
+
+
 @pytest.mark.parametrize("offered", ["nearfield.v2", "nearfield.v0"])
 def test_other_version_is_told_to_reload(start_gateway: StartGateway, offered: str) -> None:
     tablet = start_gateway().tablet(subprotocols=[offered])
