@@ -15,9 +15,8 @@ from nearfield_server.gateway.bus_link import BusLink
 from nearfield_server.gateway.hub import LightHub
 from nearfield_server.gateway.scene_builder import ServedScene, build_scene
 from nearfield_server.gateway.server import serve_app
-from nearfield_server.geometry.texels import rasterise_texels
+from nearfield_server.geometry.cache import load_or_build_texels
 from nearfield_server.scene.room_config import load_room
-from nearfield_server.scene.room_model import load_room_mesh
 
 _BEAT_PERIOD_S = 0.25
 
@@ -34,11 +33,9 @@ def prepare_scene(worker: Worker) -> ServedScene:
 
     room = load_room(worker.spec.room_path)
     progress("room model")
-    mesh = load_room_mesh(room.model_path, room.atlas_size)
-    progress("atlas")
-    num_texels = len(rasterise_texels(mesh, room.atlas_size, rasteriser="cpu").texel_index)
+    mesh, texels = load_or_build_texels(room)
     num_vals = worker.spec.options.get("num_vals")
-    return build_scene(room, mesh, num_texels, num_vals=num_vals, progress=progress)
+    return build_scene(room, mesh, len(texels.texel_index), num_vals=num_vals, progress=progress)
 
 
 async def run_gateway(worker: Worker, scene: ServedScene, hub: LightHub, link: BusLink) -> None:

@@ -27,7 +27,7 @@ from nearfield_server.scene.room_model import load_room_mesh
 
 _LOGGER = structlog.get_logger(__name__)
 # Raised whenever the meaning or the making of an artefact changes.
-_FORMAT = "4"
+_FORMAT = "5"
 Progress = Callable[[str, float], None]
 Geometry = tuple[RoomMesh, TexelGeometry, GatherTable, UnseenFill]
 _Record = TypeVar("_Record", RoomMesh, TexelGeometry, GatherTable, UnseenFill)
@@ -65,23 +65,14 @@ def load_or_build(
     folder = cache_dir if cache_dir is not None else default_cache_dir()
     report = progress if progress is not None else _ignore
     report("room model", 0.0)
-    if not room.model_path.is_file():
-        raise AssetError(f"{room.model_path}: no such file.")
-    key = hashlib.sha256(f"{_FORMAT} {room.atlas_size} {rasteriser}".encode() + room.model_path.read_bytes())
-    mesh_file = folder / f"mesh-{key.hexdigest()[:32]}.npz"
-    texel_file = folder / f"texels-{key.hexdigest()[:32]}.npz"
+    mesh, texels = load_or_build_texels(room, cache_dir=folder, rasteriser=rasteriser)
+    key = _surface_key(room, rasteriser)
     for camera in room.cameras:
         key.update(
             repr(camera.intrinsics).encode() + np.ascontiguousarray(camera.world_from_camera).tobytes()
         )
     table_file = folder / f"gather-{key.hexdigest()[:32]}.npz"
     fill_file = folder / f"fill-{key.hexdigest()[:32]}.npz"
-
-    mesh = _load(mesh_file, RoomMesh) or _save(mesh_file, load_room_mesh(room.model_path, room.atlas_size))
-    report("texels", 0.1)
-    texels = _load(texel_file, TexelGeometry)
-    if texels is None:
-        texels = _save(texel_file, rasterise_texels(mesh, room.atlas_size, rasteriser=_checked(rasteriser)))
     table, fill = _load(table_file, GatherTable), _load(fill_file, UnseenFill)
     if table is None or fill is None:
         table = build_gather_table(
@@ -92,6 +83,26 @@ def load_or_build(
         _save(fill_file, fill)
     report("geometry is ready", 1.0)
     return mesh, texels, table, fill
+
+
+def load_or_build_texels(
+    room: RoomConfig, *, cache_dir: Path | None = None, rasteriser: str = "cpu"
+) -> tuple[RoomMesh, TexelGeometry]:
+    """Mesh and texels of a room: what does not depend on cameras. Arguments and errors as for `load_or_build`."""
+    folder = cache_dir if cache_dir is not None else default_cache_dir()
+    name = _surface_key(room, rasteriser).hexdigest()[:32]
+    mesh_file, texel_file = folder / f"mesh-{name}.npz", folder / f"texels-{name}.npz"
+    mesh = _load(mesh_file, RoomMesh) or _save(mesh_file, load_room_mesh(room.model_path, room.atlas_size))
+    texels = _load(texel_file, TexelGeometry)
+    if texels is None:
+        texels = _save(texel_file, rasterise_texels(mesh, room.atlas_size, rasteriser=_checked(rasteriser)))
+    return mesh, texels
+
+
+def _surface_key(room: RoomConfig, rasteriser: str) -> hashlib._Hash:
+    if not room.model_path.is_file():
+        raise AssetError(f"{room.model_path}: no such file.")
+    return hashlib.sha256(f"{_FORMAT} {room.atlas_size} {rasteriser}".encode() + room.model_path.read_bytes())
 
 
 def _ignore(text: str, part: float) -> None:
