@@ -12,6 +12,7 @@ zero at the rim of the image circle as in the paper.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
@@ -39,6 +40,10 @@ SNAP_RADIUS = 3
 # Sub-pixel positions that must show one surface before a pixel without a pure neighbourhood is used (half a pixel and a
 # tenth, because lens and demosaicking blur a little beyond the pixel).
 _SUBPIXELS = np.linspace(-0.6, 0.6, 5)
+# Below this albedo in all channels a surface counts as black.
+BLACK_ALBEDO = 0.02
+# Positions at which the share of a pixel's area is measured.
+_PIXEL_AREA = (np.arange(8) + 0.5) / 8 - 0.5
 Progress = Callable[[str, float], None]
 
 
@@ -90,6 +95,14 @@ def build_gather_table(
         if len(missing.texel):
             usable = _single_surface_pixels(rays, groups, normals, camera, pictures[index], missing)
             extra = _pairs(missing, texel_groups, usable, camera, bilinear=False)
+            parts[index] = _joined(parts[index], extra)
+    for part in parts:
+        seen[part.texel] = True
+    is_black = _black_groups(mesh, groups) & ~np.isin(np.arange(groups.max() + 1), texel_groups[seen])
+    for index, camera in enumerate(cameras):
+        missing = _select(sights[index], is_black[texel_groups])
+        if len(missing.texel):
+            extra = _pairs_of_tiny_emitters(rays, groups, normals, camera, missing, texel_groups)
             parts[index] = _joined(parts[index], extra)
     if progress is not None:
         progress("weights", 1.0)
@@ -158,6 +171,47 @@ def _single_surface_pixels(
             pure[left] = pixel_surfaces(rays, groups, normals, camera, shifted) == own[left]
     usable[rows[pure], columns[pure]] = own[pure]
     return usable
+
+
+def _black_groups(mesh: RoomMesh, groups: NDArray[np.int32]) -> NDArray[np.bool_]:
+    """(G,) bool: surfaces that reflect nothing, so that all the light they send is their own."""
+    reflects = mesh.material_albedo.max(axis=1)[mesh.face_material] > BLACK_ALBEDO
+    return np.asarray(np.bincount(groups, weights=reflects) == 0)
+
+
+def _pairs_of_tiny_emitters(
+    rays: RoomRays,
+    groups: NDArray[np.int32],
+    normals: NDArray[np.float64],
+    camera: CameraModel,
+    missing: Sight,
+    texel_groups: NDArray[np.int32],
+) -> _Pairs:
+    """Pairs of black surfaces too small for a pixel of their own: the pixel that they fill best.
+
+    It underestimates them by the share they do not fill, which is better than losing a lamp. Other surfaces are not treated
+    so: a thin rim beside a lamp would take on the lamp's radiance.
+    """
+    parts = [_Pairs(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 2), np.float32), np.zeros(0))]
+    lens = camera.intrinsics
+    around = np.stack(np.meshgrid([-1, 0, 1], [-1, 0, 1]), axis=-1).reshape(1, 9, 2)
+    shifts = np.stack(np.meshgrid(_PIXEL_AREA, _PIXEL_AREA), axis=-1).reshape(1, -1, 2)
+    for group in np.unique(texel_groups[missing.texel]):
+        mine = texel_groups[missing.texel] == group
+        near = np.unique(
+            (np.rint(missing.pixel[mine]).astype(np.int64)[:, None] + around).reshape(-1, 2), axis=0
+        )
+        near = near[((near >= 0) & (near < [lens.width - 1, lens.height - 1])).all(axis=1)]
+        surfaces = pixel_surfaces(rays, groups, normals, camera, (near[:, None] + shifts).reshape(-1, 2))
+        coverage = (surfaces.reshape(len(near), -1) == group).mean(axis=1)
+        if not coverage.any():
+            continue
+        best = coverage.argmax()
+        count = int(mine.sum())
+        pixel = np.full(count, near[best, 1] * lens.width + near[best, 0], dtype=np.int64)
+        weight = missing.density[mine] * coverage[best]
+        parts.append(_Pairs(missing.texel[mine], pixel, np.zeros((count, 2), np.float32), weight))
+    return functools.reduce(_joined, parts)
 
 
 def _select(sight: Sight, wanted: NDArray[np.bool_]) -> Sight:

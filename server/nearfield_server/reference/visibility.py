@@ -13,7 +13,7 @@ _BATCH = 1 << 14
 def first_face(
     mesh: RoomMesh, origins: NDArray[np.float64], directions: NDArray[np.float64]
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Nearest triangle along each ray (Moeller and Trumbore 1997), both sides.
+    """Nearest triangle along each ray, both sides: plane first, then barycentric coordinates of the point.
 
     Args:
         mesh: room.
@@ -24,21 +24,23 @@ def first_face(
         Triangle (n,) int64 or -1, and distance (n,) in units of `directions` (infinity where nothing is hit).
     """
     corners = mesh.positions[mesh.faces]
-    first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    edges = np.stack([corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]], axis=2)
+    # Rows: second and third barycentric coordinate and height above the triangle's plane, as functions of the position.
+    local = np.linalg.inv(
+        np.concatenate([edges, np.cross(edges[:, :, 0], edges[:, :, 1])[:, :, None]], axis=2)
+    )
+    at_corner = np.einsum("fkd,fd->kf", local, corners[:, 0])
+    second, third, height = (np.ascontiguousarray(local[:, row].T) for row in range(3))
     face = np.full(len(origins), -1, dtype=np.int64)
     distance = np.full(len(origins), np.inf)
     for start in range(0, len(origins), _BATCH):
         part = slice(start, start + _BATCH)
-        ray, origin = directions[part, None], origins[part, None]
-        crossed = np.cross(ray, second)
-        determinant = (crossed * first).sum(axis=-1)
+        ray, origin = directions[part], origins[part]
         with np.errstate(divide="ignore", invalid="ignore"):
-            offset = origin - corners[:, 0]
-            u = (offset * crossed).sum(axis=-1) / determinant
-            around = np.cross(offset, first)
-            v = (ray * around).sum(axis=-1) / determinant
-            t = (second * around).sum(axis=-1) / determinant
-            hit = (np.abs(determinant) > 1e-15) & (u >= 0) & (v >= 0) & (u + v <= 1) & (t > 1e-9)
+            t = (at_corner[2] - origin @ height) / (ray @ height)
+            u = origin @ second - at_corner[0] + t * (ray @ second)
+            v = origin @ third - at_corner[1] + t * (ray @ third)
+            hit = (u >= 0) & (v >= 0) & (u + v <= 1) & (t > 1e-9)
         t = np.where(hit, t, np.inf)
         nearest = t.argmin(axis=1)
         distance[part] = t[np.arange(len(nearest)), nearest]

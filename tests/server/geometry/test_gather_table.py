@@ -28,12 +28,20 @@ def table(furnished_room: RoomMesh, texels: TexelGeometry, cameras: tuple[Camera
     return build_gather_table(furnished_room, texels, cameras)
 
 
-def antialiased_picture(mesh: RoomMesh, camera: CameraModel, supersampling: int = 4) -> np.ndarray:
-    """(H, W) float64: every pixel is the mean over its own area; lamps shine, all else is 1, back faces are black."""
+def antialiased_picture(
+    mesh: RoomMesh, camera: CameraModel, supersampling: int = 4, around: tuple[int, int] | None = None
+) -> np.ndarray:
+    """(H, W) float64: every pixel is the mean over its own area; lamps shine, all else is 1, back faces are black.
+
+    With `around` (row, column), only the pixels near it are drawn and the rest is 1.
+    """
     lens = camera.intrinsics
     shifts = (np.arange(supersampling) + 0.5) / supersampling - 0.5
     total = np.zeros((lens.height, lens.width))
     columns, rows = np.meshgrid(np.arange(lens.width), np.arange(lens.height))
+    if around is not None:
+        window = (slice(around[0] - 6, around[0] + 7), slice(around[1] - 6, around[1] + 7))
+        columns, rows, total = columns[window], rows[window], np.zeros((13, 13))
     radiance = np.where(np.isin(mesh.face_material, LAMPS), LAMP_RADIANCE, 1.0)
     normals = face_normals(mesh)
     for shift_y in shifts:
@@ -43,7 +51,11 @@ def antialiased_picture(mesh: RoomMesh, camera: CameraModel, supersampling: int 
             face, _ = first_face(mesh, np.broadcast_to(camera.world_from_camera[:3, 3], world.shape), world)
             front = (face >= 0) & ((normals[face] * world).sum(axis=1) < 0)
             total[valid] += np.where(front, radiance[face], 0.0)
-    return total / supersampling**2
+    if around is None:
+        return total / supersampling**2
+    picture = np.ones((lens.height, lens.width))
+    picture[window] = total / supersampling**2
+    return picture
 
 
 def gather(table: GatherTable, pictures: list[np.ndarray]) -> np.ndarray:
@@ -75,6 +87,60 @@ def test_lamps_do_not_bleed(
     assert spurious <= 1e-3 * total
     assert abs((gathered * area)[seen].sum() - total) <= 1e-3 * total
     np.testing.assert_allclose(gathered[seen & is_lamp], LAMP_RADIANCE, rtol=1e-5)
+
+
+def with_tiny_lamp(mesh: RoomMesh, albedo: float) -> RoomMesh:
+    """The room plus a lamp of 12 x 12 mm on the wall: less than a pixel in both cameras (16 and 20 milliradians)."""
+    corners = np.array([[0.02, 1.2, 1.5], [0.02, 1.212, 1.5], [0.02, 1.212, 1.512], [0.02, 1.2, 1.512]])
+    start = len(mesh.positions)
+    material = len(mesh.materials)
+    return replace(
+        mesh,
+        positions=np.concatenate([mesh.positions, corners]),
+        normals=np.concatenate([mesh.normals, np.tile([[1.0, 0.0, 0.0]], (4, 1))]),
+        uv=np.concatenate(
+            [mesh.uv, (np.array([[0, 0], [2, 0], [2, 2], [0, 2]]) + np.array([230, 225])) / 240]
+        ),
+        faces=np.concatenate(
+            [mesh.faces, [[start, start + 1, start + 2], [start, start + 2, start + 3]]]
+        ).astype(np.int32),
+        face_material=np.append(mesh.face_material, [material, material]).astype(np.int32),
+        materials=(*mesh.materials, "tiny"),
+        material_albedo=np.concatenate([mesh.material_albedo, [[albedo] * 3]]),
+    )
+
+
+def test_lamp_smaller_than_a_pixel_is_not_lost_if_it_is_black(
+    furnished_room: RoomMesh, cameras: tuple[CameraModel, ...]
+) -> None:
+    mesh = with_tiny_lamp(furnished_room, 0.0)
+    texels = rasterise_texels(mesh, 240, rasteriser="cpu")
+    table = build_gather_table(mesh, texels, cameras)
+    lit = replace(mesh, face_material=np.where(mesh.face_material == 4, LAMPS[0], 0).astype(np.int32))
+    pictures = []
+    for camera in cameras:
+        offset = mesh.positions[-4] - camera.world_from_camera[:3, 3]
+        column, row = np.rint(
+            project(offset @ camera.world_from_camera[:3, :3], camera.intrinsics)[0]
+        ).astype(int)
+        pictures.append(antialiased_picture(lit, camera, 16, around=(row, column)))
+    gathered = gather(table, pictures)
+    is_lamp = texels.face >= len(furnished_room.faces)
+    # The best of the pixels around holds at least a ninth of it, and never more than all of it.
+    picture_share = max(((picture - 1) / LAMP_RADIANCE).max() for picture in pictures)
+    assert gathered[is_lamp].max() <= LAMP_RADIANCE
+    assert gathered[is_lamp].min() >= 0.5 * picture_share * LAMP_RADIANCE > 0
+    # To the rounding of float32 weights.
+    np.testing.assert_allclose(gathered[(np.diff(table.pair_start) > 0) & ~is_lamp], 1.0, rtol=1e-6)
+
+
+def test_reflecting_surface_smaller_than_a_pixel_takes_on_nothing(
+    furnished_room: RoomMesh, cameras: tuple[CameraModel, ...]
+) -> None:
+    mesh = with_tiny_lamp(furnished_room, 0.3)
+    texels = rasterise_texels(mesh, 240, rasteriser="cpu")
+    table = build_gather_table(mesh, texels, cameras)
+    assert (np.diff(table.pair_start)[texels.face >= len(furnished_room.faces)] == 0).all()
 
 
 def test_visibility_is_that_of_brute_force(
