@@ -1,0 +1,51 @@
+"""The documented keys of a room file are the keys that the code reads, with the same defaults."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from pydantic import BaseModel
+from pydantic_core import PydanticUndefined
+
+from nearfield_server.scene import room_schema
+
+README = Path(__file__).parents[2] / "server" / "README.md"
+TABLES: dict[str, type[BaseModel]] = {
+    "": room_schema.RoomTable,
+    "light.": room_schema.LightTable,
+    "lights.": room_schema.SwitchableLightTable,
+    "cameras.": room_schema.CameraTable,
+    "objects.": room_schema.ObjectTable,
+    "views.": room_schema.ViewTable,
+}
+
+
+def documented_keys() -> dict[str, str]:
+    """Key to the text of its default column."""
+    rows = re.findall(
+        r"^\| `([a-z_.]+)` \|.*\| ([^|]+) \|$", README.read_text(encoding="utf-8"), re.MULTILINE
+    )
+    return {key: default.strip() for key, default in rows}
+
+
+def test_every_key_is_documented_and_every_documented_key_exists() -> None:
+    in_code = {
+        f"{prefix}{name}"
+        for prefix, table in TABLES.items()
+        for name in table.model_fields
+        if f"{name}." not in TABLES
+    }
+    assert set(documented_keys()) == in_code
+
+
+def test_documented_defaults_are_those_of_the_code() -> None:
+    documented = documented_keys()
+    for prefix, table in TABLES.items():
+        for name, field in table.model_fields.items():
+            text = documented.get(f"{prefix}{name}")
+            if text is None:
+                continue
+            assert (text == "required") == field.is_required(), f"{prefix}{name}"
+            if field.default is not PydanticUndefined and isinstance(field.default, int | float):
+                assert float(text) == float(field.default), f"{prefix}{name}"
