@@ -67,6 +67,7 @@ export class Viewer implements ShellActions {
   #report: FrameReport = { passes: [], cpuMs: 0, pending: false }
   #frameMs: number | null = null
   #unfinishedFrames = 0
+  #hasControlState = false
   #size = { width: 0, height: 0 }
 
   constructor(
@@ -81,7 +82,10 @@ export class Viewer implements ShellActions {
     this.scene = scene
     this.#renderer = renderer
     this.#options = options
-    this.feed = new LightFeed(scene.settings.stale_after_ms, options.evaluate ? { fadeMs: 0 } : {})
+    this.feed = new LightFeed(
+      scene.settings.stale_after_ms,
+      options.evaluate ? { fadeMs: 0, placeTolerance: 0 } : {},
+    )
     this.#picture = { ...settings, autoExposure: scene.settings.exposure === null }
     this.#exposureDue = this.#picture.autoExposure && !options.evaluate
     this.#weights = Float32Array.from(scene.lights, (light) => light.weight)
@@ -361,6 +365,12 @@ export class Viewer implements ShellActions {
   }
 
   #takeControlState(state: ControlState): void {
+    if (!this.#hasControlState) {
+      // The lamps may be dimmed already: the first picture with their real weights sets the exposure.
+      this.#hasControlState = true
+      this.#exposureDue = this.#picture.autoExposure && !this.#options.evaluate
+      this.requestFrame()
+    }
     state.lightWeights.forEach((weight, index) => {
       const isKnown = index < this.#weights.length
       if (

@@ -148,6 +148,34 @@ describe('LightState', () => {
     }
   })
 
+  it('tolerates trembling, but not drifting', () => {
+    const state = new LightState({ fadeMs: 0 })
+    const show = (sequence: number, x: number) => {
+      state.push(packet(sequence, [{ position: [x, 0, 0], intensity: [1, 1, 1] }]), sequence)
+      const frame = state.sample(sequence)
+      expect(frame.vals[0]).toBe(Math.fround(x))
+      return frame.positionsChanged
+    }
+    expect(show(1, 1)).toBe(true)
+    expect([2, 3, 4, 5].map((sequence) => show(sequence, 1 + 0.0008 * (sequence % 2)))).toEqual([
+      false,
+      false,
+      false,
+      false,
+    ])
+    const drift = Array.from({ length: 50 }, (_, i) => show(6 + i, 1 + 0.0004 * i))
+    // 19.6 mm in steps of 0.4 mm: reported whenever more than 1 mm has gathered.
+    expect(drift.filter(Boolean).length).toBe(16)
+  })
+
+  it('reports every movement when asked to be exact', () => {
+    const state = new LightState({ fadeMs: 0, placeTolerance: 0 })
+    state.push(packet(1, [{ position: [1, 0, 0], intensity: [1, 1, 1] }]), 1)
+    state.sample(1)
+    state.push(packet(2, [{ position: [1.00001, 0, 0], intensity: [1, 1, 1] }]), 2)
+    expect(state.sample(2).positionsChanged).toBe(true)
+  })
+
   it('moves a light that stayed the same along a straight line with a unit normal', () => {
     const state = new LightState({ fadeMs: 100 })
     state.push(packet(1, [{ position: [0, 0, 0], normal: [0, 0, 1], intensity: [4, 4, 4] }]), 0)

@@ -6,7 +6,18 @@
  * is linear in time. No array is allocated per frame.
  */
 
-import { at, copyPlace, FLOATS_PER_VAL, INTENSITY, isLit, mix, mixVal, NORMAL } from './valLayout'
+import type { LightFrame, LightInput, LightStateOptions } from './lightTypes'
+import {
+  at,
+  copyPlace,
+  FLOATS_PER_VAL,
+  INTENSITY,
+  isLit,
+  mix,
+  mixVal,
+  NORMAL,
+  placeDistance,
+} from './valLayout'
 
 /** Most lights on the screen, fading ones included: the renderer keeps one shadow tile for each. */
 export const MAX_SHOWN_VALS = 64
@@ -16,36 +27,9 @@ const FADING_OUT = -2
 /** Of a former session: shown unchanged until the next packet, then fading out. */
 const ORPHANED = -3
 
-/** The part of a decoded light packet that is shown. Slots without light have zero radiant intensity. */
-export interface LightInput {
-  readonly sequence: number
-  readonly numVals: number
-  /** `FLOATS_PER_VAL` per slot. */
-  readonly vals: Float32Array
-  readonly generations: Uint8Array
-  /** 27 per object: sh_coeffs (9, 3), world axes. */
-  readonly objectSh: Float32Array
-}
+export type { LightFrame, LightInput, LightStateOptions }
 
-/** What the renderer shows now. The same object is returned by every call of `sample`. */
-export interface LightFrame {
-  /** `FLOATS_PER_VAL` per slot. */
-  readonly vals: Float32Array
-  /** Slots to read; further ones are dark. */
-  count: number
-  objectSh: Float32Array
-  /** Some slot's position, normal or area differs from the previous sample (its shadow map is out of date). */
-  positionsChanged: boolean
-  /** 1 for those slots. */
-  readonly changedSlots: Uint8Array
-  /** Counts up whenever anything differs from the previous sample. */
-  revision: number
-}
-
-export interface LightStateOptions {
-  /** Fixed cross-fade time, ms; 0 switches at once. Without it: the measured time between updates. */
-  readonly fadeMs?: number
-}
+const DEFAULT_PLACE_TOLERANCE = 1e-3
 
 const SHORTEST_FADE_MS = 80
 const LONGEST_FADE_MS = 250
@@ -53,6 +37,9 @@ const LONGEST_FADE_MS = 250
 export class LightState {
   readonly #from = new Float32Array(MAX_SHOWN_VALS * FLOATS_PER_VAL)
   readonly #to = new Float32Array(MAX_SHOWN_VALS * FLOATS_PER_VAL)
+  /** Where the renderer was last told that each light stands. */
+  readonly #reported = new Float32Array(MAX_SHOWN_VALS * FLOATS_PER_VAL)
+  readonly #placeTolerance: number
   readonly #scratch = new Float32Array(FLOATS_PER_VAL)
   /** Owner of each shown slot: slot of the packet, FREE or FADING_OUT. */
   readonly #packetSlot = new Int16Array(MAX_SHOWN_VALS).fill(FREE)
@@ -80,6 +67,7 @@ export class LightState {
 
   constructor(options: LightStateOptions = {}) {
     this.#fixedFadeMs = options.fadeMs
+    this.#placeTolerance = options.placeTolerance ?? DEFAULT_PLACE_TOLERANCE
   }
 
   /** Sequence of the newest packet, or undefined before the first. */
@@ -364,15 +352,15 @@ export class LightState {
     const base = shown * FLOATS_PER_VAL
     let changed = false
     for (let i = 0; i < FLOATS_PER_VAL; i++) {
-      if (frame.vals[base + i] !== this.#scratch[i]) {
-        changed = true
-        if (i < INTENSITY) {
-          frame.changedSlots[shown] = 1
-          frame.positionsChanged = true
-        }
-      }
+      changed = changed || frame.vals[base + i] !== this.#scratch[i]
     }
     frame.vals.set(this.#scratch, base)
+    if (changed && placeDistance(this.#scratch, this.#reported, base) > this.#placeTolerance) {
+      // Compared with the place that was reported last, not with the last frame: small steps must add up.
+      this.#reported.set(this.#scratch, base)
+      frame.changedSlots[shown] = 1
+      frame.positionsChanged = true
+    }
     return changed
   }
 

@@ -2,6 +2,7 @@
 
 /** Floats per slot: position 3, area, normal 3, 0, radiant intensity 3, 0, 0 0 0 0. */
 export const FLOATS_PER_VAL = 16
+const AREA = 3
 export const NORMAL = 4
 export const INTENSITY = 8
 
@@ -53,4 +54,15 @@ export function copyPlace(source: Float32Array, target: Float32Array, base: numb
   for (let i = 0; i < INTENSITY; i++) {
     target[base + i] = at(source, base + i)
   }
+}
+
+/** Largest deviation of position, normal and disc radius between a light and slot `base` of an array. */
+export function placeDistance(light: Float32Array, others: Float32Array, base: number): number {
+  let largest = Math.abs(Math.sqrt(at(light, AREA) / Math.PI) - Math.sqrt(at(others, base + AREA) / Math.PI))
+  for (let axis = 0; axis < 3; axis++) {
+    const position = Math.abs(at(light, axis) - at(others, base + axis))
+    const normal = Math.abs(at(light, NORMAL + axis) - at(others, base + NORMAL + axis))
+    largest = Math.max(largest, position, normal)
+  }
+  return largest
 }
