@@ -24,7 +24,8 @@ from rich.console import Console
 from rich.table import Table
 
 from nearfield_server.errors import AssetError
-from nearfield_server.pipeline.runner import STAGES, BackendName, LightPipeline, ProbeTracer
+from nearfield_server.pipeline.probes import ProbeTracer
+from nearfield_server.pipeline.runner import STAGES, BackendName, LightPipeline
 from nearfield_server.records import (
     CameraFrame,
     GatherTable,

@@ -12,6 +12,11 @@ from numpy.typing import NDArray
 from nearfield_server.pipeline import gather as gather_stage
 from nearfield_server.pipeline.auto_split import auto_threshold
 from nearfield_server.pipeline.blocks import BlockPool, TexelBlocks, cluster_features, make_blocks
+from nearfield_server.pipeline.hidden_light import (
+    HiddenLight,
+    estimate_hidden_radiance,
+    write_hidden_radiance,
+)
 from nearfield_server.pipeline.integration import ValSums, integrate
 from nearfield_server.pipeline.sampling import sample_direct_texels, stratified_pattern
 from nearfield_server.pipeline.sh_projection import project_indirect
@@ -26,6 +31,7 @@ class BackendSetup:
     Attributes:
         mesh, texels, table, settings: as given to `LightPipeline`.
         fill_texels: (U,) int32 texels that no camera sees. fill_sources: (U,) int32 texels whose radiance they repeat.
+        hidden: surfaces that no camera sees any part of, or None where they stay black.
     """
 
     mesh: RoomMesh
@@ -34,6 +40,7 @@ class BackendSetup:
     settings: LightSettings
     fill_texels: NDArray[np.int32]
     fill_sources: NDArray[np.int32]
+    hidden: HiddenLight | None = None
 
 
 class StageBackend(Protocol):
@@ -74,6 +81,10 @@ class CpuBackend:
         self._table = gather_stage.pack_gather_table(setup.table)
         self._settings = setup.settings
         self._fill_texels, self._fill_sources = setup.fill_texels, setup.fill_sources
+        self._hidden = setup.hidden
+        self._shining: NDArray[np.bool_] = np.zeros(
+            0 if self._hidden is None else self._hidden.num_groups, dtype=np.bool_
+        )
         self._pattern = stratified_pattern(setup.settings.num_samples, setup.settings.seed)
         self._total_area = float(self._blocks.area.sum(dtype=np.float64))
         self._radiance = np.zeros((self._blocks.num_texels, 3), dtype=np.float32)
@@ -91,6 +102,12 @@ class CpuBackend:
             fill_texels=self._fill_texels,
             fill_sources=self._fill_sources,
         )
+        if self._hidden is not None:
+            values = estimate_hidden_radiance(self._hidden, self._radiance, self._shining)
+            self._shining = values.sum(axis=1) > 0.0
+            write_hidden_radiance(
+                self._hidden.texels, self._hidden.group, values, self._radiance, self._block_max
+            )
 
     def split(self) -> NDArray[np.float32]:
         """See `StageBackend`."""

@@ -18,7 +18,9 @@ from nearfield_protocol.codec import VAL_DTYPE
 from nearfield_server.errors import ConfigError, GraphicsError
 from nearfield_server.pipeline.backend import BackendSetup, CpuBackend, StageBackend
 from nearfield_server.pipeline.clustering import ClusterState, empty_state, update_clusters
+from nearfield_server.pipeline.hidden_light import HiddenLight, find_hidden_light
 from nearfield_server.pipeline.integration import ValSums
+from nearfield_server.pipeline.probes import ProbeTracer
 from nearfield_server.records import (
     CameraFrame,
     GatherTable,
@@ -40,13 +42,6 @@ _MIN_VALS: Final = 1
 _MAX_VALS: Final = 64
 
 _T = TypeVar("_T")
-
-
-class ProbeTracer(Protocol):
-    """Finds the texel behind every pixel of a cube; `geometry.probes.ProbeRays` is one."""
-
-    def trace(self, centre_world: NDArray[np.float64], resolution: int = 32) -> NDArray[np.int32]:
-        """(6 R R,) position in texel order or -1, pixels in the order of `radiometry.cube.cube_directions`."""
 
 
 class UnseenFillLike(Protocol):
@@ -87,7 +82,9 @@ class LightPipeline:
             probe_rays: finds what a probe sees.
             backend: "cpu" (numba), "gl" (a real GPU), "reference" (float64, slow), or "auto": "gl" on a hardware
                 renderer, else "cpu".
-            unseen_fill: radiance for texels that no camera sees.
+            unseen_fill: texels that no camera sees but whose surface one sees, and what they repeat. When given, the
+                remaining unseen surfaces are searched for hidden lamps (`hidden_light`), which takes about two seconds
+                here for a furnished room.
             wall_clock: seconds.
             cpu_clock: seconds of all threads of the process.
 
@@ -108,6 +105,9 @@ class LightPipeline:
             fill_sources=none
             if unseen_fill is None
             else np.ascontiguousarray(unseen_fill.source, dtype=np.int32),
+            hidden=None
+            if unseen_fill is None
+            else _hidden_light(mesh, texels, table, unseen_fill, probe_rays),
         )
         self._stages = _make_backend(backend, setup)
         self._settings = settings
@@ -312,6 +312,18 @@ def _check_inputs(texels: TexelGeometry, table: GatherTable, settings: LightSett
         raise ConfigError(
             f"gather table is for {table.pair_start.shape[0] - 1} texels, the atlas has {texels.area.shape[0]}; rebuild it"
         )
+
+
+def _hidden_light(
+    mesh: RoomMesh,
+    texels: TexelGeometry,
+    table: GatherTable,
+    unseen_fill: UnseenFillLike,
+    probe_rays: ProbeTracer,
+) -> HiddenLight | None:
+    unseen = np.diff(table.pair_start) == 0
+    unseen[unseen_fill.texels] = False
+    return find_hidden_light(mesh, texels, unseen, probe_rays)
 
 
 def _make_backend(name: BackendName, setup: BackendSetup) -> StageBackend:

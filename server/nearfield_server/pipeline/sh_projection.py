@@ -32,7 +32,7 @@ def _project(probe_texel: Any, basis: Any, radiance: Any, threshold: Any, out: A
         for channel in range(3):
             value = np.float64(radiance[texel, channel])
             if value >= threshold[channel]:
-                value = 0.0
+                value = np.float64(0.0)
             for k in range(NUM_COEFFS):
                 out[channel, k] += basis[pixel, k] * value
 

@@ -1,0 +1,329 @@
+"""Lamps that no camera sees, found by the light that they throw on surfaces that cameras do see.
+
+A camera in a corner of the ceiling never sees the shining side of a desk lamp. But the atlas tells the reflected radiance
+of the desk, the room model its albedo, and the rest of the atlas how much light arrives there from everything visible:
+`pi L / albedo = E_visible + sum over hidden surfaces F B`. What is missing on the left side betrays the radiance B of the
+hidden surface. Rohmer et al. 2014 name such lost light a limit of their method (section 7).
+
+Albedos of a room model are never exact, so a hidden surface is believed to shine only when it explains a good share of
+the light on several receivers, and they agree on its radiance.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from nearfield_server.pipeline.blocks import BLOCK
+from nearfield_server.pipeline.probes import ProbeTracer
+from nearfield_server.radiometry.cube import cube_directions, cube_solid_angles
+from nearfield_server.records import RoomMesh, TexelGeometry
+
+_RESOLUTION: Final = 16
+_RECEIVERS: Final = 12
+_MAX_GROUPS: Final = 64
+_SOURCE_TEXELS: Final = 32
+_MIN_ALBEDO: Final = 0.05
+_MIN_COSINE: Final = 0.1
+_MIN_FACING: Final = 0.5
+"""Length of the mean normal below which a surface is too curved to be one light."""
+_OFFSET: Final = 2e-3
+"""Metres by which probes are lifted off their surface."""
+_ACCEPT_SHARE: Final = 0.3
+_KEEP_SHARE: Final = 0.2
+_MAX_SPREAD: Final = 0.35
+_WELD: Final = 1e-5
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HiddenLight:
+    """Static data: hidden surfaces, receivers that see them, and what else the receivers see.
+
+    Attributes:
+        texels: (H,) positions of the texels of hidden surfaces. group: (H,) surface of each, 0 to G - 1.
+        receiver: (R,) seen texels, grouped by the hidden surface that each was chosen for.
+        group_rows: (G + 1,) receivers of surface g are rows `group_rows[g]:group_rows[g + 1]`.
+        inverse_albedo: (R, 3) pi / albedo of the receivers.
+        form_factor: (R, G) irradiance on a receiver per unit radiance of a hidden surface.
+        ray_start: (R + 1,), ray_texel: (rays,) and ray_weight: (rays,): what receivers see of the visible room, with the
+            projected solid angle of each ray.
+    """
+
+    texels: NDArray[np.int32]
+    group: NDArray[np.int32]
+    receiver: NDArray[np.int32]
+    group_rows: NDArray[np.int64]
+    inverse_albedo: NDArray[np.float64]
+    form_factor: NDArray[np.float64]
+    ray_start: NDArray[np.int64]
+    ray_texel: NDArray[np.int32]
+    ray_weight: NDArray[np.float32]
+
+    @property
+    def num_groups(self) -> int:
+        """G."""
+        return int(self.form_factor.shape[1])
+
+
+def find_hidden_light(
+    mesh: RoomMesh, texels: TexelGeometry, unseen: NDArray[np.bool_], probe_rays: ProbeTracer
+) -> HiddenLight | None:
+    """Collect the surfaces that no camera sees and the receivers that would betray them.
+
+    Args:
+        mesh: room, with albedos.
+        texels: its texels.
+        unseen: (N,) texels of surfaces of which no camera sees any part.
+        probe_rays: ray tracer of the room.
+
+    Returns:
+        The static data, or None where there is nothing to find.
+    """
+    hidden, group = _hidden_surfaces(mesh, texels, unseen)
+    if hidden.size == 0:
+        return None
+    albedo = mesh.material_albedo[mesh.face_material[texels.face]]
+    usable = ~unseen & (albedo.min(axis=1) >= _MIN_ALBEDO)
+    directions, solid_angles = cube_directions(_RESOLUTION), cube_solid_angles(_RESOLUTION)
+    hidden_group = np.full(unseen.size, -1, dtype=np.int64)
+    hidden_group[hidden] = group
+    num_groups = int(group.max()) + 1
+    receivers: list[int] = []
+    owners: list[int] = []
+    factors: list[NDArray[np.float64]] = []
+    rays: list[tuple[NDArray[np.int32], NDArray[np.float32]]] = []
+    for surface in range(num_groups):
+        members = hidden[group == surface]
+        for receiver in _choose_receivers(texels, members, usable, probe_rays, directions):
+            position = texels.position[receiver].astype(np.float64)
+            normal = texels.normal[receiver].astype(np.float64)
+            weight = np.maximum(directions @ normal, 0.0) * solid_angles
+            seen = probe_rays.trace(position + _OFFSET * normal, _RESOLUTION)
+            lit = (weight > 0.0) & (seen >= 0)
+            row = np.zeros(num_groups)
+            inside = lit & (hidden_group[seen] >= 0)
+            np.add.at(row, hidden_group[seen[inside]], weight[inside])
+            row[surface] = _form_factor(texels, members, position, normal)
+            visible = lit & (hidden_group[seen] < 0)
+            receivers.append(receiver)
+            owners.append(surface)
+            factors.append(row)
+            rays.append((seen[visible].astype(np.int32), weight[visible].astype(np.float32)))
+    if not receivers:
+        return None
+    chosen = np.array(receivers, dtype=np.int32)
+    return HiddenLight(
+        texels=hidden,
+        group=group,
+        receiver=chosen,
+        group_rows=np.searchsorted(owners, np.arange(num_groups + 1)),
+        inverse_albedo=np.pi / albedo[chosen],
+        form_factor=np.stack(factors),
+        ray_start=np.concatenate([[0], np.cumsum([texel.size for texel, _ in rays])]).astype(np.int64),
+        ray_texel=np.concatenate([texel for texel, _ in rays]),
+        ray_weight=np.concatenate([weight for _, weight in rays]),
+    )
+
+
+def _hidden_surfaces(
+    mesh: RoomMesh, texels: TexelGeometry, unseen: NDArray[np.bool_]
+) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """Texels of hidden connected surfaces of one material that face one way, and their numbers; the largest first."""
+    hidden = np.flatnonzero(unseen & (texels.area > 0.0))
+    if hidden.size == 0:
+        return hidden.astype(np.int32), hidden.astype(np.int32)
+    faces = np.unique(texels.face[hidden])
+    _, welded = np.unique(np.rint(mesh.positions / _WELD).astype(np.int64), axis=0, return_inverse=True)
+    num_points = int(welded.max()) + 1
+    # One node per (corner, material): faces of different materials do not join.
+    corner = (
+        welded.reshape(-1)[mesh.faces[faces]] + mesh.face_material[faces, None].astype(np.int64) * num_points
+    )
+    nodes, corner_node = np.unique(corner, return_inverse=True)
+    corner_node = corner_node.reshape(-1, 3)
+    ends = (corner_node[:, [0, 1]].reshape(-1), corner_node[:, [1, 2]].reshape(-1))
+    graph = coo_array((np.ones(ends[0].size, dtype=np.int8), ends), shape=(nodes.size, nodes.size))
+    _, component = connected_components(graph, directed=False)
+    group = component[corner_node[np.searchsorted(faces, texels.face[hidden]), 0]]
+    area = texels.area[hidden].astype(np.float64)
+    total = np.bincount(group, weights=area)
+    mean = np.stack(
+        [np.bincount(group, weights=area * texels.normal[hidden, axis]) for axis in range(3)], axis=1
+    )
+    facing = np.linalg.norm(mean, axis=1) / np.maximum(total, 1e-30)
+    order = np.argsort(-np.where(facing >= _MIN_FACING, total, 0.0))[:_MAX_GROUPS]
+    order = order[facing[order] >= _MIN_FACING]
+    number = np.full(total.size, -1, dtype=np.int32)
+    number[order] = np.arange(order.size, dtype=np.int32)
+    kept = number[group] >= 0
+    return hidden[kept].astype(np.int32), number[group][kept]
+
+
+def _choose_receivers(
+    texels: TexelGeometry,
+    members: NDArray[np.int32],
+    usable: NDArray[np.bool_],
+    probe_rays: ProbeTracer,
+    directions: NDArray[np.float64],
+) -> NDArray[np.int64]:
+    """Seen texels in front of a hidden surface, among those on which it would shine most."""
+    position = texels.position[members].astype(np.float64)
+    centre = position.mean(axis=0)
+    middle = members[np.argmin(np.sum((position - centre) ** 2, axis=1))]
+    normal = texels.normal[middle].astype(np.float64)
+    origin = texels.position[middle].astype(np.float64) + _OFFSET * normal
+    seen = probe_rays.trace(origin, _RESOLUTION)
+    candidates = np.unique(seen[(seen >= 0) & (directions @ normal > _MIN_COSINE)])
+    candidates = candidates[usable[candidates]]
+    if candidates.size == 0:
+        return np.asarray(candidates, dtype=np.int64)
+    offset = texels.position[candidates].astype(np.float64) - origin
+    squared = np.maximum(np.einsum("ni,ni->n", offset, offset), 1e-6)
+    incoming = -np.einsum("ni,ni->n", offset, texels.normal[candidates].astype(np.float64)) / np.sqrt(squared)
+    strength = (offset @ normal) / np.sqrt(squared) * np.maximum(incoming, 0.0) / squared
+    strength[incoming < _MIN_COSINE] = 0.0
+    order = np.argsort(-strength)[: 4 * _RECEIVERS]
+    order = order[strength[order] > 0.0]
+    return np.asarray(candidates[order[:: max(1, order.size // _RECEIVERS)][:_RECEIVERS]], dtype=np.int64)
+
+
+def _form_factor(
+    texels: TexelGeometry,
+    members: NDArray[np.int32],
+    position: NDArray[np.float64],
+    normal: NDArray[np.float64],
+) -> float:
+    """Irradiance per unit radiance of a hidden surface, from some of its texels as discs, wholly visible."""
+    chosen = members[:: max(1, members.size // _SOURCE_TEXELS)]
+    area = float(texels.area[members].sum(dtype=np.float64)) / chosen.size
+    offset = texels.position[chosen].astype(np.float64) - position
+    squared = np.einsum("ni,ni->n", offset, offset)
+    cosines = np.maximum(offset @ normal, 0.0)
+    cosines = cosines * np.maximum(
+        -np.einsum("ni,ni->n", offset, texels.normal[chosen].astype(np.float64)), 0.0
+    )
+    return float((cosines * area / (squared * (squared + area / np.pi))).sum())
+
+
+@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+def _visible_irradiance(ray_start: Any, ray_texel: Any, ray_weight: Any, radiance: Any, out: Any) -> None:
+    for receiver in range(out.shape[0]):
+        red, green, blue = 0.0, 0.0, 0.0
+        for ray in range(ray_start[receiver], ray_start[receiver + 1]):
+            texel = ray_texel[ray]
+            weight = np.float64(ray_weight[ray])
+            red += weight * radiance[texel, 0]
+            green += weight * radiance[texel, 1]
+            blue += weight * radiance[texel, 2]
+        out[receiver, 0], out[receiver, 1], out[receiver, 2] = red, green, blue
+
+
+def estimate_hidden_radiance(
+    hidden: HiddenLight, radiance: NDArray[np.float32], shining: NDArray[np.bool_]
+) -> NDArray[np.float64]:
+    """Radiance of every hidden surface from the atlas; 0 where the evidence is too weak.
+
+    Args:
+        hidden: static data.
+        radiance: (N, 3) gathered radiance.
+        shining: (G,) surfaces that shone in the last update; they need less evidence, so that noise switches nothing.
+
+    Returns:
+        (G, 3) float64 >= 0.
+    """
+    measured = radiance[hidden.receiver].astype(np.float64) * hidden.inverse_albedo
+    visible = np.empty_like(measured)
+    _visible_irradiance(hidden.ray_start, hidden.ray_texel, hidden.ray_weight, radiance, visible)
+    return np.asarray(
+        _explain(
+            hidden.form_factor,
+            hidden.group_rows,
+            measured,
+            measured - visible,
+            np.where(shining, _KEEP_SHARE, _ACCEPT_SHARE),
+        )
+    )
+
+
+@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+def _evidence(
+    factors: Any, surface: int, first: int, last: int, measured: Any, missing: Any, radiance: Any
+) -> Any:
+    """Share of the receivers' irradiance that a surface explains, and how far they disagree about its radiance."""
+    count = last - first
+    samples = np.empty((3, count))
+    grey = np.empty(count)
+    arriving = np.empty(count)
+    used = 0
+    for row in range(first, last):
+        factor = factors[row, surface]
+        total = measured[row, 0] + measured[row, 1] + measured[row, 2]
+        if factor > 0.0 and total > 0.0:
+            for channel in range(3):
+                samples[channel, used] = missing[row, channel] / factor
+            grey[used] = (missing[row, 0] + missing[row, 1] + missing[row, 2]) / factor
+            arriving[used] = factor / total
+            used += 1
+    if used < _RECEIVERS // 2:
+        return 0.0, np.inf
+    for channel in range(3):
+        radiance[channel] = max(np.median(samples[channel, :used]), 0.0)
+    sum_of_channels = radiance[0] + radiance[1] + radiance[2]
+    if not sum_of_channels > 0.0:
+        return 0.0, np.inf
+    spread = np.median(np.abs(grey[:used] - np.median(grey[:used]))) / sum_of_channels
+    return np.median(arriving[:used]) * sum_of_channels, spread
+
+
+@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+def _explain(factors: Any, group_rows: Any, measured: Any, missing: Any, needed: Any) -> Any:
+    """Let surfaces explain the missing light one after the other, the one that its receivers agree on best first."""
+    num_groups = factors.shape[1]
+    result = np.zeros((num_groups, 3))
+    found = np.zeros((num_groups, 3))
+    share = np.zeros(num_groups)
+    spread = np.zeros(num_groups)
+    is_open = np.ones(num_groups, dtype=np.bool_)
+    stale = np.ones(num_groups, dtype=np.bool_)
+    for _ in range(num_groups):
+        best = -1
+        for surface in range(num_groups):
+            if not is_open[surface]:
+                continue
+            first, last = group_rows[surface], group_rows[surface + 1]
+            if stale[surface]:
+                share[surface], spread[surface] = _evidence(
+                    factors, surface, first, last, measured, missing, found[surface]
+                )
+                stale[surface] = False
+            believed = share[surface] >= needed[surface] and spread[surface] <= _MAX_SPREAD
+            if believed and (best < 0 or spread[surface] < spread[best]):
+                best = surface
+        if best < 0:
+            break
+        result[best] = found[best]
+        is_open[best] = False
+        for surface in range(num_groups):
+            for row in range(group_rows[surface], group_rows[surface + 1]):
+                if factors[row, best] > 0.0:
+                    stale[surface] = True
+                    for channel in range(3):
+                        missing[row, channel] -= factors[row, best] * found[best, channel]
+    return result
+
+
+@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+def write_hidden_radiance(texels: Any, group: Any, values: Any, radiance: Any, block_max: Any) -> None:
+    """Set the texels of hidden surfaces to `values` (G, 3), and keep the block maxima true."""
+    for k in range(texels.shape[0]):
+        for channel in range(3):
+            value = np.float32(values[group[k], channel])
+            radiance[texels[k], channel] = value
+            block = texels[k] // BLOCK
+            block_max[block, channel] = max(block_max[block, channel], value)
