@@ -8,12 +8,26 @@ import sys
 
 from nearfield_server.bus.worker import configure_logging, die_with_parent, set_on_signals
 from nearfield_server.errors import ConfigError, NearfieldError
-from nearfield_server.scene.room_config import load_room
+from nearfield_server.scene.room_config import RoomConfig, load_room
 from nearfield_server.supervisor.settings import ServiceSettings
 from nearfield_server.supervisor.supervisor import PROCESS_NAME, Supervisor
 
 EXIT_CONFIG = 2
 EXIT_SERVICE = 3
+
+
+def _check_timeline(room: RoomConfig, name: str | None) -> None:
+    """Refuse a wrong name here, once, and not in every camera again and again.
+
+    Raises:
+        ConfigError: the room has no such lighting sequence.
+    """
+    if name is not None:
+        from nearfield_server.capture.cameras import (
+            load_timeline,  # loads numba; most services need no timeline
+        )
+
+        load_timeline(room, name)
 
 
 def main() -> int:
@@ -24,7 +38,9 @@ def main() -> int:
         configure_logging(PROCESS_NAME)
         # SIGTERM: if the launcher is killed, the service still ends cleanly.
         die_with_parent(settings.launcher_pid, signal.SIGTERM)
-        supervisor = Supervisor(settings, load_room(settings.room_path))
+        room = load_room(settings.room_path)
+        _check_timeline(room, settings.timeline)
+        supervisor = Supervisor(settings, room)
     except NearfieldError as error:
         sys.stderr.write(f"nearfield: {error}\n")
         return EXIT_CONFIG if isinstance(error, ConfigError) else EXIT_SERVICE

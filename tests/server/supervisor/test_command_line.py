@@ -74,6 +74,13 @@ def test_wrong_calls_are_told_in_words_with_exit_code_2(arguments: tuple[str, ..
     assert "Traceback" not in result.stderr
 
 
+def test_an_unknown_sequence_is_told_in_words() -> None:
+    result = _run("serve", str(TINY_ROOM), "--port", "0", "--sequence", "none-such")
+    assert result.returncode == 2
+    assert "no sequence 'none-such'" in result.stderr
+    assert "Traceback" not in result.stderr
+
+
 def test_a_broken_room_file_is_told_in_words(tmp_path: Path) -> None:
     (tmp_path / "room.toml").write_text("format = 1\nnmae = 'x'\n")
     result = _run("serve", str(tmp_path), "--port", "0")
