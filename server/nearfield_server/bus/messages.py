@@ -105,6 +105,23 @@ def parse_object(payload: bytes, key: str) -> dict[str, Any]:
     return message
 
 
+def status_json(status: dict[str, Any]) -> bytes:
+    """Serialise a status message; numbers that JSON does not have (infinity, NaN) become null, numpy scalars plain numbers."""
+    return json.dumps(_plain(status), allow_nan=False).encode()
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {str(key): _plain(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(entry) for entry in value]
+    if isinstance(value, np.generic):
+        value = value.item()
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
 def room_revision(content_hash: str) -> int:
     """Return the number that light packets and the scene description share: the first 32 bits of `RoomMesh.content_hash`."""
     return int(content_hash[:8], 16)

@@ -18,7 +18,7 @@ from typing import Any, NoReturn
 import structlog
 
 from nearfield_server.bus.keys import CONTROL_STATE, status_key
-from nearfield_server.bus.messages import ControlState
+from nearfield_server.bus.messages import ControlState, status_json
 from nearfield_server.bus.session import Bus
 from nearfield_server.errors import BusError, NearfieldError, ServiceError
 
@@ -211,7 +211,7 @@ class Worker:
         key = status_key(self.spec.process)
         while not self.stop.wait(STATUS_PERIOD_S):
             try:
-                self.bus.put(key, json.dumps(self.status(), default=float).encode())
+                self.bus.put(key, status_json(self.status()))
             except BusError as error:
                 self.log.warning("status not sent", reason=str(error))
 

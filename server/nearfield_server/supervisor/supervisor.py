@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import os
 import socket
 import threading
@@ -15,7 +14,7 @@ import structlog
 from nearfield_protocol.codec import decode_client_message
 from nearfield_protocol.errors import ProtocolError
 from nearfield_server.bus.keys import CONTROL_REQUEST, CONTROL_STATE, STATUS, status_key
-from nearfield_server.bus.messages import parse_object
+from nearfield_server.bus.messages import parse_object, status_json
 from nearfield_server.bus.session import Bus
 from nearfield_server.bus.worker import WorkerSpec
 from nearfield_server.capture.frame_ring import FrameSignal, RingShape, create_ring
@@ -231,6 +230,6 @@ class Supervisor:
             },
         }
         with contextlib.suppress(BusError):
-            self.bus.put(status_key(PROCESS_NAME), json.dumps(status).encode())
+            self.bus.put(status_key(PROCESS_NAME), status_json(status))
             # Repeated for those who missed it: a process that has just connected hears only what comes afterwards.
             self.bus.put(CONTROL_STATE, self._state.to_json())

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from nearfield_server.bus.keys import room_prefix
-from nearfield_server.bus.messages import ControlState, ObjectPlacement
+from nearfield_server.bus.messages import ControlState, ObjectPlacement, status_json
 from nearfield_server.errors import BusError
 
 finite = st.floats(allow_nan=False, allow_infinity=False)
@@ -69,3 +69,15 @@ def test_other_bytes_are_refused(payload: bytes) -> None:
 @given(st.text())
 def test_room_names_never_hold_key_syntax(room: str) -> None:
     assert not set(room_prefix(room).removeprefix("nearfield/")) & set("/*$?#@ ")
+
+
+def test_status_messages_are_json_that_browsers_read() -> None:
+    status = {
+        "age": float("inf"),
+        "nested": [{"x": np.float32(0.5), "n": np.int64(3)}, float("nan")],
+        "ok": True,
+        "none": None,
+    }
+    text = status_json(status).decode()
+    strict = json.loads(text, parse_constant=lambda name: pytest.fail(f"{name} is no JSON"))
+    assert strict == {"age": None, "nested": [{"x": 0.5, "n": 3}, None], "ok": True, "none": None}
