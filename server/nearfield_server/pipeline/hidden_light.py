@@ -26,8 +26,8 @@ from nearfield_server.radiometry.cube import cube_directions, cube_solid_angles
 from nearfield_server.records import RoomMesh, TexelGeometry
 
 _RESOLUTION: Final = 16
-_RECEIVERS: Final = 12
-_MAX_GROUPS: Final = 64
+_RECEIVERS: Final = 8
+_MAX_GROUPS: Final = 160
 _SOURCE_TEXELS: Final = 32
 _MIN_ALBEDO: Final = 0.05
 _MIN_COSINE: Final = 0.1
