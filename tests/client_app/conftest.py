@@ -41,6 +41,12 @@ from nearfield_protocol.codec import (
     encode_status,
 )
 
+BROWSER_ARGUMENTS = [
+    "--no-sandbox",
+    "--use-gl=angle",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+]
 ROOT = Path(__file__).parents[2]
 CLIENT = ROOT / "client_web"
 CONTENT_SECURITY_POLICY = b"default-src 'self'"
@@ -242,16 +248,13 @@ def _with_policy(app: ASGIApp) -> ASGIApp:
     return wrapped
 
 
-@pytest.fixture(scope="session")
-def page_dir(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The page with a stand-in renderer, built once."""
+def build_page(folder: Path, *arguments: str) -> Path:
+    """Run vite in the client's folder."""
     npx = shutil.which("npx") or str(ROOT / ".venv/bin/npx")
     if not (CLIENT / "node_modules").is_dir() or not Path(npx).exists():
         pytest.skip("needs Node and `npm ci` in client_web")
-    folder = tmp_path_factory.mktemp("page")
-    standin = Path(__file__).parent / "standin"
     result = subprocess.run(
-        [npx, "vite", "build", str(standin), "--config", str(standin / "vite.config.mjs")],
+        [npx, "vite", "build", *arguments],
         cwd=CLIENT,
         env={**os.environ, "OUT_DIR": str(folder), "PATH": f"{Path(npx).parent}:{os.environ['PATH']}"},
         capture_output=True,
@@ -260,6 +263,30 @@ def page_dir(tmp_path_factory: pytest.TempPathFactory) -> Path:
     )
     assert result.returncode == 0, result.stdout + result.stderr
     return folder
+
+
+@pytest.fixture(scope="session")
+def page_dir(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The page with a stand-in renderer, built once."""
+    standin = Path(__file__).parent / "standin"
+    folder = tmp_path_factory.mktemp("page")
+    return build_page(folder, str(standin), "--config", str(standin / "vite.config.mjs"))
+
+
+@pytest.fixture(scope="session")
+def real_page_dir(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The page as it ships, built once."""
+    folder = tmp_path_factory.mktemp("real_page")
+    return build_page(folder, "--outDir", str(folder), "--logLevel", "warn")
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    sync_api = pytest.importorskip("playwright.sync_api")
+    with sync_api.sync_playwright() as playwright:
+        instance = playwright.chromium.launch(executable_path="/usr/bin/chromium", args=BROWSER_ARGUMENTS)
+        yield instance
+        instance.close()
 
 
 @pytest.fixture
