@@ -45,8 +45,8 @@ class AtlasMetrics:
 
     Attributes:
         total_energy_error: |sum L A - truth| / truth.
-        spurious_energy: what non-emitting cells hold above their truth, cell by cell, over the truth. (Cells, not texels: the
-        truth is a mean over a cell.)
+        spurious_energy: what all surfaces that are no emitters hold together above their truth, over the truth; 0 where they hold
+            less. Noise cancels, light that spills from lamps onto their surroundings does not.
         num_texels: texels that took part.
     """
 
@@ -110,10 +110,10 @@ def judge_atlas(
     if truth <= 0.0:
         dark = float(found.sum())
         return AtlasMetrics(total_energy_error=dark, spurious_energy=dark, num_texels=len(seen))
-    excess = np.maximum(found - true, 0.0)[cells.light < 0]
+    excess = (found - true)[cells.light < 0]
     return AtlasMetrics(
         total_energy_error=abs(float(found.sum()) - truth) / truth,
-        spurious_energy=float(excess.sum()) / truth,
+        spurious_energy=max(0.0, float(excess.sum())) / truth,
         num_texels=len(seen),
     )
 

@@ -33,6 +33,7 @@ from nearfield_server.scene.bundle import Bundle, mix_basis
 from nearfield_server.scene.exr import read_exr
 
 TIMED_UPDATES = 5
+SKIPPED_UPDATES = 25
 _FRAME_INTERVAL_NS = 33_333_333
 
 
@@ -45,8 +46,8 @@ class LightRun:
         packet_bytes: compact encoding.
         update: the last result of the pipeline.
         texel_radiance: (N, 3) float32 gathered radiance.
-        stage_ms: median wall time per stage over several full updates; `update` is a whole one, `skipped_update` one
-            where nothing had changed, `first_update` the very first, compilation included.
+        stage_ms: median wall time per stage over several updates in which it ran; `update` is a change of all pictures, `moved_update`
+            a moved object under unchanged light, `skipped_update` nothing new, `first_update` the very first, compilation included.
         backend: what the stages ran on.
         clean_counts: pixels that ingest had to correct, by kind.
     """
@@ -101,7 +102,7 @@ def run_light(
     settings: LightSettings,
     clean_counts: dict[str, int],
 ) -> LightRun:
-    """Several whole updates (each stage runs), one unchanged update, and the packet as a client decodes it.
+    """Time updates with new pictures, with moved objects and with nothing new, and give the packet as a client decodes it.
 
     Args:
         mesh: room.
@@ -116,30 +117,40 @@ def run_light(
     pipeline = LightPipeline(
         mesh, texels, table, settings, probe_rays=ProbeRays(mesh, texels), unseen_fill=usable_fill(fill)
     )
-    walls: list[float] = []
-    stages: list[tuple[StageReport, ...]] = []
-    for number in range(TIMED_UPDATES + 1):
+    still, walls = _poses(objects, 0), []
+    stages: list[StageReport] = []
+    first = 0.0
+    for number in range(1, TIMED_UPDATES + 2):
         started = time.perf_counter()
-        update = pipeline.update(
-            [_renumbered(frame, number + 1) for frame in frames], _poses(objects, number)
-        )
+        update = pipeline.update([_renumbered(frame, number) for frame in frames], still)
         walls.append(1000.0 * (time.perf_counter() - started))
-        stages.append(update.stages)
-    started = time.perf_counter()
-    pipeline.update(
-        [_renumbered(frame, TIMED_UPDATES + 1) for frame in frames], _poses(objects, TIMED_UPDATES)
-    )
-    skipped = 1000.0 * (time.perf_counter() - started)
-    names = [stage.name for stage in stages[-1]]
+        if number == 1:
+            first = walls.pop()
+        else:
+            stages.extend(update.stages)
+    newest = [_renumbered(frame, TIMED_UPDATES + 1) for frame in frames]
+    moved, skipped = [], []
+    for revision in range(1, TIMED_UPDATES + 1):
+        started = time.perf_counter()
+        update = pipeline.update(newest, _poses(objects, revision))
+        moved.append(1000.0 * (time.perf_counter() - started))
+        stages.extend(update.stages)
+    for _ in range(SKIPPED_UPDATES):
+        started = time.perf_counter()
+        pipeline.update(newest, _poses(objects, TIMED_UPDATES))
+        skipped.append(1000.0 * (time.perf_counter() - started))
     stage_ms = {
         name: float(
-            np.median(
-                [s.wall_ms for reports in stages[1:] for s in reports if s.name == name and s.ran] or [0.0]
-            )
+            np.median([stage.wall_ms for stage in stages if stage.name == name and stage.ran] or [0.0])
         )
-        for name in names
+        for name in dict.fromkeys(stage.name for stage in stages)
     }
-    stage_ms |= {"update": float(np.median(walls[1:])), "skipped_update": skipped, "first_update": walls[0]}
+    stage_ms |= {
+        "update": float(np.median(walls)),
+        "moved_update": float(np.median(moved)),
+        "skipped_update": float(np.median(skipped)),
+        "first_update": first,
+    }
     data = PacketWriter.for_room(mesh, 0).write(update, _poses(objects, 0))
     return LightRun(
         packet=decode_light_packet(data),

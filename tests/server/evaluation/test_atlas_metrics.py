@@ -126,3 +126,14 @@ def test_foreign_files_are_refused_in_words(tiny_room, tmp_path):
     path.write_bytes(b"nothing")
     with pytest.raises(AssetError, match="radiance cells"):
         load_cells(path, bundle, np.ones(2))
+
+
+def test_noise_is_not_spurious_and_missing_light_is_no_negative_excess(room):
+    cells, texels, truth = room
+    noisy = truth.copy()
+    noisy[:3600] *= np.tile(np.array([[0.5], [1.5]], np.float32), (1800, 1))
+    metrics = judge_atlas(texels, table_of(np.ones(10800, int)), noisy, cells)
+    assert metrics.spurious_energy < 1e-6
+    dark = judge_atlas(texels, table_of(np.ones(10800, int)), 0.5 * truth, cells)
+    assert dark.spurious_energy == 0.0
+    assert dark.total_energy_error == pytest.approx(0.5)

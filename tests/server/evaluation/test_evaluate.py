@@ -44,7 +44,7 @@ def test_numbers_are_finite_and_costs_are_measured(report):
     numbers = [*found["irradiance"].values(), *found["atlas"].values(), *found["stage_ms"].values()]
     assert np.isfinite(numbers).all()
     assert found["atlas"]["total_energy_error"] < 0.05
-    assert {"gather", "integrate", "sh", "update", "skipped_update"} <= set(found["stage_ms"])
+    assert {"gather", "integrate", "sh", "update", "moved_update", "skipped_update"} <= set(found["stage_ms"])
     assert found["stage_ms"]["skipped_update"] < found["stage_ms"]["update"]
     assert 100 < found["packet_bytes"] < 1000
 
