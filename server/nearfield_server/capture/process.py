@@ -105,6 +105,9 @@ def capture_loop(
         now_s = time.monotonic()
         try:
             if not is_open and now_s >= retry_at:
+                worker.beat(
+                    "starting"
+                )  # reading basis pictures or finding a device may take longer than a frame
                 pump.source.open()
                 pump.reopened()
                 is_open, healthy_since = True, now_s

@@ -46,12 +46,12 @@ class _Inbox:
 
     def wait(self, message: tuple[str, bytes]) -> bool:
         with self._changed:
-            return self._changed.wait_for(lambda: message in self._messages, timeout=20)
+            return self._changed.wait_for(lambda: message in self._messages, timeout=120)
 
 
 def _put_until_heard(sender: Bus, inbox: _Inbox, key: str, payload: bytes) -> None:
     """A subscription travels to the sender in its own time; the first messages may come before it."""
-    for _ in range(200):
+    for _ in range(1000):
         sender.put(key, payload)
         with inbox._changed:
             if inbox._changed.wait_for(lambda: (key, payload) in inbox._messages, timeout=0.1):
@@ -134,10 +134,10 @@ def test_a_killed_process_is_seen_to_be_gone(hub: Bus, port: int) -> None:
     child = subprocess.Popen([sys.executable, "-c", code], stdin=subprocess.PIPE)
     try:
         with changed:
-            assert changed.wait_for(lambda: states.get("cam0") is True, timeout=30)
+            assert changed.wait_for(lambda: states.get("cam0") is True, timeout=120)
         child.kill()
         with changed:
-            assert changed.wait_for(lambda: states.get("cam0") is False, timeout=30)
+            assert changed.wait_for(lambda: states.get("cam0") is False, timeout=120)
     finally:
         child.kill()
         child.wait()

@@ -52,7 +52,7 @@ class _Statuses:
             return any(all(s.get(k) == v for k, v in fields.items()) for s in self._seen)
 
         with self._changed:
-            return self._changed.wait_for(matches, timeout=30)
+            return self._changed.wait_for(matches, timeout=120)
 
 
 @pytest.fixture
@@ -97,13 +97,13 @@ def test_a_worker_asks_for_the_state_follows_it_and_stops_cleanly(hub: tuple[Bus
     child = _start(_spec(port))
     try:
         assert statuses.wait(process="cam0", pid=child.pid, phase="running", weights=[0.5])
-        bus.put(CONTROL_STATE, _state(3, 9.0))  # late news
-        bus.put(CONTROL_STATE, b"nonsense")
-        bus.put(CONTROL_STATE, _state(5, 0.25))
+        bus.put(CONTROL_STATE, _state(3, 9.0), must_arrive=True)  # late news
+        bus.put(CONTROL_STATE, b"nonsense", must_arrive=True)
+        bus.put(CONTROL_STATE, _state(5, 0.25), must_arrive=True)
         assert statuses.wait(weights=[0.25])
         assert not any(status.get("weights") == [9.0] for status in statuses._seen)
         child.send_signal(signal.SIGTERM)
-        assert child.wait(timeout=30) == 0
+        assert child.wait(timeout=120) == 0
     finally:
         child.kill()
         child.communicate()

@@ -110,7 +110,8 @@ class FakeWorker:
         self.beats: list[dict[str, Any]] = []
 
     def beat(self, phase: str = "running", **status: Any) -> None:
-        self.beats.append(status)
+        if phase == "running":
+            self.beats.append(status)
 
 
 def test_a_failing_camera_is_reopened_and_its_frames_are_never_mistaken_for_old_ones(
