@@ -25,7 +25,7 @@ from rich.table import Table
 
 from nearfield_server.errors import AssetError
 from nearfield_server.pipeline.probes import ProbeTracer
-from nearfield_server.pipeline.runner import STAGES, BackendName, LightPipeline
+from nearfield_server.pipeline.runner import STAGES, BackendName, LightPipeline, UnseenFillLike
 from nearfield_server.records import (
     CameraFrame,
     GatherTable,
@@ -56,6 +56,7 @@ class Scenario:
     probes: ProbeTracer
     pictures: tuple[NDArray[np.float16], ...]
     objects: tuple[ObjectPose, ...]
+    unseen_fill: UnseenFillLike | None = None
 
 
 def bench(
@@ -132,7 +133,13 @@ def _repeat(update: Callable[[], LightUpdate]) -> None:
 
 def _make(scenario: Scenario, settings: LightSettings, backend: BackendName) -> LightPipeline:
     return LightPipeline(
-        scenario.mesh, scenario.texels, scenario.table, settings, probe_rays=scenario.probes, backend=backend
+        scenario.mesh,
+        scenario.texels,
+        scenario.table,
+        settings,
+        probe_rays=scenario.probes,
+        backend=backend,
+        unseen_fill=scenario.unseen_fill,
     )
 
 
@@ -295,12 +302,13 @@ def _bundle_scenario(folder: Path) -> Scenario:
     from nearfield_server.evaluation.light_run import camera_frames
     from nearfield_server.geometry.cache import load_or_build
     from nearfield_server.geometry.probes import ProbeRays
+    from nearfield_server.illumination.process import usable_fill
     from nearfield_server.scene.bundle import load_bundle
     from nearfield_server.scene.room_config import room_from_bundle
 
     bundle = load_bundle(folder)
     room = room_from_bundle(bundle)
-    mesh, texels, table, _ = load_or_build(room)
+    mesh, texels, table, fill = load_or_build(room)
     frames, _ = camera_frames(bundle, np.ones(len(room.lights)))
     return Scenario(
         name=room.name,
@@ -310,4 +318,5 @@ def _bundle_scenario(folder: Path) -> Scenario:
         probes=ProbeRays(mesh, texels),
         pictures=tuple(frame.pixels for frame in frames),
         objects=_objects(mesh.positions.min(axis=0), mesh.positions.max(axis=0)),
+        unseen_fill=usable_fill(fill),
     )
