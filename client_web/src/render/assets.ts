@@ -1,11 +1,25 @@
 /** Loads what a scene description names: room, prepared objects, basis pictures of the views. */
-import type { BufferAttribute, BufferGeometry, InterleavedBufferAttribute, Mesh, MeshStandardMaterial, Object3D } from 'three'
+import type {
+  BufferAttribute,
+  BufferGeometry,
+  InterleavedBufferAttribute,
+  Mesh,
+  MeshStandardMaterial,
+  Object3D,
+} from 'three'
 import { FloatType, HalfFloatType } from 'three'
 import { EXRLoader } from 'three/addons/loaders/EXRLoader.js'
 import { type GLTF, GLTFLoader } from 'three/addons/loaders/GLTFLoader.js'
 import type { ObjectDescription, SceneDescription, ViewDescription } from '../state/sceneDescription'
 import { RendererError } from './errors'
-import type { HalfPicture, ObjectAsset, OcclusionFieldAsset, RoomAsset, SceneAssets, ViewAsset } from './types'
+import type {
+  HalfPicture,
+  ObjectAsset,
+  OcclusionFieldAsset,
+  RoomAsset,
+  SceneAssets,
+  ViewAsset,
+} from './types'
 
 export type Progress = (loadedBytes: number, totalBytes: number) => void
 
@@ -22,9 +36,7 @@ export async function loadSceneAssets(
   const download = makeDownloader(onProgress)
   const [room, objects, views] = await Promise.all([
     download(scene.room.model_url).then((data) => readRoom(scene.room.model_url, data)),
-    Promise.all(
-      scene.objects.map(async (object) => readObject(object, await download(object.model_url))),
-    ),
+    Promise.all(scene.objects.map(async (object) => readObject(object, await download(object.model_url)))),
     Promise.all(scene.views.map((view) => loadView(view, download))),
   ])
   return {
@@ -102,7 +114,9 @@ function floatsOf(attribute: Attribute): Float32Array {
 function requireAttribute(url: string, geometry: BufferGeometry, name: string): Float32Array {
   const attribute = geometry.getAttribute(name)
   if (!attribute) {
-    throw new RendererError(`${url} has no vertex attribute "${name}"; prepare it with \`nearfield prepare\`.`)
+    throw new RendererError(
+      `${url} has no vertex attribute "${name}"; prepare it with \`nearfield prepare\`.`,
+    )
   }
   return floatsOf(attribute)
 }
@@ -212,6 +226,7 @@ export async function readObject(object: ObjectDescription, data: ArrayBuffer): 
     shadowed: coefficientsOf(url, geometry, '_shadowed'),
     bounce1: coefficientsOf(url, geometry, '_bounce1'),
     bounce2: coefficientsOf(url, geometry, '_bounce2'),
+    groundShadow: coefficientsOf(url, geometry, '_ground'),
     bounceRatio: extras.bounceRatio,
     shadowProxy: {
       positions: requireAttribute(url, proxy.geometry, 'position'),
@@ -221,7 +236,11 @@ export async function readObject(object: ObjectDescription, data: ArrayBuffer): 
   }
 }
 
-async function meshOf(url: string, gltf: GLTF, index: number): Promise<Mesh<BufferGeometry, MeshStandardMaterial>> {
+async function meshOf(
+  url: string,
+  gltf: GLTF,
+  index: number,
+): Promise<Mesh<BufferGeometry, MeshStandardMaterial>> {
   const found: Mesh<BufferGeometry, MeshStandardMaterial>[] = []
   const root = (await gltf.parser.getDependency('mesh', index)) as Object3D | undefined
   root?.traverse((node) => {

@@ -1,7 +1,7 @@
 /** Everything that lives in one WebGL context; made anew when a lost context comes back. */
 import { MAX_VALS } from '../radiometry/valLight'
 import type { Device } from './device'
-import { makeTexture, DataTexture, Target } from './gl/targets'
+import { DataTexture, makeTexture, Target } from './gl/targets'
 import { VAL_COLUMNS } from './lightData'
 import { MAX_OBJECTS, OBJECT_COLUMNS } from './objectData'
 import { BackgroundPass } from './passes/backgroundPass'

@@ -1,6 +1,7 @@
 /** Per-object light: sh_coeffs in object axes, with and without the VALs. */
 import { rotateSh } from '../radiometry/sh'
 import { FLOATS_PER_VAL, projectVals } from '../radiometry/valLight'
+import { boundsOf, groundContact } from './groundContact'
 import { type ObjectState, worldCentre } from './objectData'
 import { castRay, type Triangles } from './rayMesh'
 import type { ObjectAsset } from './types'
@@ -41,6 +42,7 @@ export function lightObject(
   return {
     asset,
     worldFromObject,
+    contact: groundContact(boundsOf(asset.positions), asset.radius, worldFromObject, room),
     shIndirect: rotateSh(indirect, worldFromObjectRows),
     shAll: rotateSh(all, worldFromObjectRows),
   }

@@ -12,6 +12,8 @@ export interface ObjectState {
   readonly asset: ObjectAsset
   /** Column-major. */
   readonly worldFromObject: ArrayLike<number>
+  /** Share of the ground shadow that applies: groundContact.ts. */
+  readonly contact: number
   /** 27 each, object axes: indirect light, and all light (VALs included). */
   readonly shIndirect: Float32Array
   readonly shAll: Float32Array

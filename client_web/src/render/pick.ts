@@ -47,7 +47,10 @@ export function pickSurface(
       result = {
         objectIndex,
         positionWorld: add(origin, scale(direction, hit.distance)),
-        normalWorld: subtract(transformPoint(worldFromObject, normal), transformPoint(worldFromObject, [0, 0, 0])),
+        normalWorld: subtract(
+          transformPoint(worldFromObject, normal),
+          transformPoint(worldFromObject, [0, 0, 0]),
+        ),
       }
     }
   })

@@ -31,7 +31,7 @@ export class SceneMeshes {
         [
           { location: 0, size: 3, data: asset.positions },
           { location: 1, size: 3, data: asset.normals },
-          ...[asset.shadowed, asset.bounce1, asset.bounce2].flatMap((table, order) =>
+          ...[asset.shadowed, asset.bounce1, asset.bounce2, asset.groundShadow].flatMap((table, order) =>
             [0, 1, 2].map((part) => ({ location: 2 + 3 * order + part, size: 3, data: column(table, part) })),
           ),
         ],

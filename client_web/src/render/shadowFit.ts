@@ -77,7 +77,11 @@ export function fitShadowMap(
   }
 }
 
-function chooseAxis(position: Vec3, normal: Vec3, spheres: readonly Sphere[]): { axis: Vec3; isWide: boolean } {
+function chooseAxis(
+  position: Vec3,
+  normal: Vec3,
+  spheres: readonly Sphere[],
+): { axis: Vec3; isWide: boolean } {
   let sum: Vec3 = [0, 0, 0]
   for (const sphere of spheres) {
     sum = add(sum, normalize(subtract(sphere.centre, position)))

@@ -1,6 +1,6 @@
 /** Keeps the shadow maps of all VALs up to date within the budget of a frame. */
 import { FLOATS_PER_VAL, MAX_VALS } from '../radiometry/valLight'
-import { fitShadowMap, sameFit, type ShadowFit, type Sphere } from './shadowFit'
+import { fitShadowMap, type ShadowFit, type Sphere, sameFit } from './shadowFit'
 import { ShadowSchedule, type ShadowWork } from './shadowSchedule'
 import type { Vec3 } from './vector'
 

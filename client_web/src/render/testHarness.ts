@@ -1,12 +1,21 @@
 /** A page without app around the renderer, driven by tests/client. Built by vite.harness.config.ts only; never part of the product. */
-import { Matrix4 } from 'three'
+import { DataUtils, Matrix4 } from 'three'
+import { shBasis } from '../radiometry/sh'
 import { FLOATS_PER_VAL, MAX_VALS } from '../radiometry/valLight'
 import type { LightFrame } from '../state/lightState'
 import type { SceneDescription } from '../state/sceneDescription'
 import { loadSceneAssets } from './assets'
 import type { ShadingMode } from './passes/shadePass'
 import { Renderer } from './renderer'
-import type { FrameStats, ObjectAsset, RendererOptions, SceneAssets, ViewAsset } from './types'
+import type {
+  FrameStats,
+  HalfPicture,
+  ObjectAsset,
+  OcclusionFieldAsset,
+  RendererOptions,
+  SceneAssets,
+  ViewAsset,
+} from './types'
 
 interface PlainMesh {
   positions: number[]
@@ -22,8 +31,59 @@ interface PlainScene {
     worldFromObject: number[]
     centre: [number, number, number]
     radius: number
+    /** Transfer of an unoccluded surface; zero without it. */
+    isConvex?: boolean
+    /** An occlusion field that is the same everywhere in its box. */
+    field?: { boxMin: [number, number, number]; boxSize: [number, number, number]; coeffs: number[] }
   })[]
-  views: Omit<ViewAsset, 'pictures'>[]
+  /** `background`: RGB per pixel, row 0 on top. */
+  views: (Omit<ViewAsset, 'pictures'> & { background?: number[] })[]
+}
+
+/** Pictures hold half floats; three of them, each finer than the last, add up to float32. */
+const PICTURE_UNITS = [1, 2 ** 11, 2 ** 22] as const
+
+function splitPicture(view: PlainScene['views'][number]): HalfPicture[] {
+  const { width, height, background } = view
+  if (!background) return []
+  const pictures = PICTURE_UNITS.map(() => ({ width, height, data: new Uint16Array(4 * width * height) }))
+  background.forEach((value, i) => {
+    const pixel = Math.floor(i / 3)
+    const row = height - 1 - Math.floor(pixel / width)
+    let rest = value
+    pictures.forEach(({ data }, k) => {
+      const unit = PICTURE_UNITS[k] ?? 1
+      const half = DataUtils.toHalfFloat(rest * unit)
+      data[4 * (row * width + (pixel % width)) + (i % 3)] = half
+      rest -= DataUtils.fromHalfFloat(half) / unit
+    })
+  })
+  return pictures
+}
+
+/** Clamped cosine about the normal: the transfer of a convex body. */
+function convexTransfer(normals: readonly number[]): Float32Array {
+  const table = new Float32Array(3 * normals.length)
+  for (let vertex = 0; 3 * vertex < normals.length; vertex++) {
+    const [x = 0, y = 0, z = 0] = normals.slice(3 * vertex, 3 * vertex + 3)
+    table.set(
+      shBasis(x, y, z).map(
+        (value, k) => value * (k === 0 ? Math.PI : k < 4 ? (2 * Math.PI) / 3 : Math.PI / 4),
+      ),
+      9 * vertex,
+    )
+  }
+  return table
+}
+
+function constantField(field: NonNullable<PlainScene['objects'][number]['field']>): OcclusionFieldAsset {
+  const cell = [...field.coeffs, 0, 0, 0].map((value) => DataUtils.toHalfFloat(value))
+  return {
+    resolution: [4, 3, 2],
+    boxMin: field.boxMin,
+    boxSize: field.boxSize,
+    coeffs: Uint16Array.from({ length: 24 * 12 }, (_, i) => cell[i % 12] ?? 0),
+  }
 }
 
 interface PlainVal {
@@ -52,19 +112,22 @@ function synthetic(scene: PlainScene): SceneAssets {
         positions: Float32Array.from(object.positions),
         normals: Float32Array.from(object.normals),
         indices: Uint32Array.from(object.indices),
-        shadowed: zeros,
+        shadowed: object.isConvex ? convexTransfer(object.normals) : zeros,
         bounce1: zeros,
         bounce2: zeros,
+        groundShadow: zeros,
         bounceRatio: 0,
         shadowProxy: {
           positions: Float32Array.from(object.positions),
           indices: Uint32Array.from(object.indices),
         },
-        occlusionField: null,
+        occlusionField: object.field ? constantField(object.field) : null,
       }
     }),
-    views: scene.views.map((view) => ({ ...view, pictures: [] })),
-    lights: [],
+    views: scene.views.map((view) => ({ ...view, pictures: splitPicture(view) })),
+    lights: scene.views.some((view) => view.background)
+      ? PICTURE_UNITS.map((unit) => ({ radiance: [1, 1, 1], basisRadiance: unit, weight: 1 }))
+      : [],
     roomTriangles: { positions: roomAsset.positions, indices: roomAsset.indices },
   }
 }
@@ -130,6 +193,16 @@ const harness = {
   picture: (): Promise<string> => {
     while (renderer().render(performance.now()).pending);
     return toBase64(renderer().readComposite())
+  },
+  /** Takes the graphics context away and gives it back. */
+  loseContext: async () => {
+    const canvas = document.querySelector('canvas') as HTMLCanvasElement
+    const extension = canvas.getContext('webgl2')?.getExtension('WEBGL_lose_context')
+    const restored = new Promise((resolve) => canvas.addEventListener('webglcontextrestored', resolve))
+    extension?.loseContext()
+    await new Promise((resolve) => setTimeout(resolve, 100))
+    extension?.restoreContext()
+    await restored
   },
   pick: (x: number, y: number) => {
     const hit = renderer().pick(x, y)

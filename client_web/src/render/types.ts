@@ -36,6 +36,8 @@ export interface ObjectAsset extends MeshData {
   readonly shadowed: Float32Array
   readonly bounce1: Float32Array
   readonly bounce2: Float32Array
+  /** 9 per vertex: what the object loses to its own shadow on the surface that it stands on. */
+  readonly groundShadow: Float32Array
   readonly bounceRatio: number
   readonly shadowProxy: { readonly positions: Float32Array; readonly indices: Uint32Array }
   readonly occlusionField: OcclusionFieldAsset | null

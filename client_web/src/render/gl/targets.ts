@@ -58,9 +58,7 @@ export class Target {
     if (this.depth) {
       gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.DEPTH_ATTACHMENT, gl.TEXTURE_2D, this.depth, 0)
     }
-    gl.drawBuffers(
-      this.colours.length > 0 ? this.colours.map((_, i) => gl.COLOR_ATTACHMENT0 + i) : [gl.NONE],
-    )
+    gl.drawBuffers(this.colours.length > 0 ? this.colours.map((_, i) => gl.COLOR_ATTACHMENT0 + i) : [gl.NONE])
     const status = gl.checkFramebufferStatus(gl.FRAMEBUFFER)
     if (status !== gl.FRAMEBUFFER_COMPLETE && !gl.isContextLost()) {
       this.dispose()

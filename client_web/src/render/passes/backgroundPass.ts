@@ -1,7 +1,7 @@
 import { drawScreen } from '../device'
 import { RendererError } from '../errors'
 import { Program } from '../gl/program'
-import { setSampling, Target } from '../gl/targets'
+import { setSampling, type Target } from '../gl/targets'
 import { SHADERS } from '../glsl'
 import type { HalfPicture, LightAsset, ViewAsset } from '../types'
 
@@ -36,7 +36,9 @@ export class BackgroundPass {
     target.bind()
     this.#program
       .use()
-      .textures({ uPictures: { target: gl.TEXTURE_2D_ARRAY, texture: this.#texture(viewIndex, view.pictures) } })
+      .textures({
+        uPictures: { target: gl.TEXTURE_2D_ARRAY, texture: this.#texture(viewIndex, view.pictures) },
+      })
       .int('uNumPictures', view.pictures.length)
       .vec3Array('uWeights', factors)
       .float('uTargetSize', target.width, target.height)

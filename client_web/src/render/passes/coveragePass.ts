@@ -57,10 +57,7 @@ export class CoveragePass {
     meshes.objects.forEach((mesh, index) => {
       const object = frame.objects[index]
       if (object) {
-        this.#program.mat4(
-          'uClipFromObject',
-          multiply4(frame.camera.clipFromWorld, object.worldFromObject),
-        )
+        this.#program.mat4('uClipFromObject', multiply4(frame.camera.clipFromWorld, object.worldFromObject))
         mesh.full.draw()
       }
     })

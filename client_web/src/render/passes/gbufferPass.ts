@@ -58,6 +58,7 @@ export class GbufferPass {
         .float('uAlbedoOfObject', ...mesh.asset.albedo)
         .float('uBounceRatio', mesh.asset.bounceRatio)
         .float('uKind', index + 1)
+        .float('uContact', object.contact)
         .vec3Array('uShIndirect', object.shIndirect)
         .vec3Array('uShAll', object.shAll)
       mesh.full.draw()

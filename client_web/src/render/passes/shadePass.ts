@@ -1,7 +1,7 @@
 import { NEAR } from '../camera'
 import { drawScreen } from '../device'
 import { Program } from '../gl/program'
-import { setSampling, Target } from '../gl/targets'
+import { setSampling, type Target } from '../gl/targets'
 import { SHADERS } from '../glsl'
 import { stackFields } from '../objectData'
 import { SHADOW_NEAR } from '../shadowFit'

@@ -12,10 +12,15 @@ layout(location = 7) in vec3 aBounceOne2;
 layout(location = 8) in vec3 aBounceTwo0;
 layout(location = 9) in vec3 aBounceTwo1;
 layout(location = 10) in vec3 aBounceTwo2;
+layout(location = 11) in vec3 aGround0;
+layout(location = 12) in vec3 aGround1;
+layout(location = 13) in vec3 aGround2;
 uniform mat4 uClipFromObject;
 uniform mat3 uWorldFromObject;
 uniform vec3 uAlbedoOfObject;
 uniform float uBounceRatio;
+// Share of the object's own shadow on the surface under it that applies.
+uniform float uContact;
 // Object axes; of the indirect light, and of all light that reaches the object (VALs included).
 uniform vec3 uShIndirect[9];
 uniform vec3 uShAll[9];
@@ -29,7 +34,7 @@ vec3 gather(vec3 sh[9], vec3 t0, vec3 t1, vec3 t2) {
 
 void main() {
   vec3 albedo = uAlbedoOfObject;
-  vec3 irradiance = gather(uShIndirect, aShadowed0, aShadowed1, aShadowed2) +
+  vec3 irradiance = gather(uShIndirect, aShadowed0 - uContact * aGround0, aShadowed1 - uContact * aGround1, aShadowed2 - uContact * aGround2) +
     albedo * gather(uShAll, aBounceOne0, aBounceOne1, aBounceOne2) +
     albedo * albedo / (1.0 - albedo * uBounceRatio) * gather(uShAll, aBounceTwo0, aBounceTwo1, aBounceTwo2);
   vRadiance = albedo * 0.3183098861837907 * max(irradiance, 0.0);

@@ -31,6 +31,14 @@ vec2 vogelPoint(int i, int count, float turn) {
   return sqrt((float(i) + 0.5) / float(count)) * vec2(cos(angle), sin(angle));
 }
 
+// Denser towards the centre, where alone blockers close to the receiver are found; `share` makes up for the density.
+vec2 searchPoint(int i, int count, float turn, out float share) {
+  float t = (float(i) + 0.25) / float(count);
+  float angle = float(i) * 2.399963229728653 + turn;
+  share = t * t * t;
+  return t * t * vec2(cos(angle), sin(angle));
+}
+
 vec3 toMapAxes(Val val, vec3 v) {
   return vec3(dot(val.right, v), dot(val.up, v), dot(val.axis, v));
 }
@@ -82,15 +90,16 @@ float meanBlockerDepth(sampler2D depths, Receiver receiver, Val val, float neare
   float sum = 0.0;
   float count = 0.0;
   for (int i = 0; i < uSearchTaps; i++) {
-    vec2 unit = vogelPoint(i, uSearchTaps, receiver.turn);
+    float share;
+    vec2 unit = searchPoint(i, uSearchTaps, receiver.turn, share);
     vec2 tap = slope + receiver.disc * unit * reach + unit * texelSlope;
     vec3 place = atlasPlace(receiver, val, tap);
     float depth = textureLod(depths, place.xy, 0.0).r;
     // A blocker counts only if it stands between the receiver and a point of the disc.
     float own = (1.0 - depth) / uShadowNear - inverse;
-    bool blocks = place.z > 0.5 && depth < receiverDepth(receiver, val, tap) && own * 1.05 + 1e-3 >= length(unit) * reach;
-    sum += blocks ? depth : 0.0;
-    count += blocks ? 1.0 : 0.0;
+    bool blocks = place.z > 0.5 && depth < receiverDepth(receiver, val, tap) && own * 1.05 + 0.1 * texelSlope >= length(unit) * reach;
+    sum += blocks ? share * depth : 0.0;
+    count += blocks ? share : 0.0;
   }
   return count > 0.0 ? sum / count : -1.0;
 }
