@@ -114,6 +114,7 @@ class FakeGateway:
     accepting: bool = True
     light_weights: list[float] = field(default_factory=list)
     sequence: int = 0
+    room_revision: int = 1
     port: int = 0
     connections: int = 0
     _sockets: list[WebSocket] = field(default_factory=list)
@@ -142,7 +143,7 @@ class FakeGateway:
             LightPacket(
                 sequence=self.sequence,
                 timestamp_ns=time.monotonic_ns(),
-                room_revision=1,
+                room_revision=self.room_revision,
                 vals=vals,
                 object_sh=np.full((count, 9, 3), 0.5, np.float32),
                 object_revisions=np.zeros(count, np.uint32),

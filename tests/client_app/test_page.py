@@ -145,6 +145,27 @@ def test_refusal_by_the_server_is_explained(gateway, open_page) -> None:
     expect(opened.page.get_by_role("heading", name="The server is full")).to_be_visible()
 
 
+def test_light_of_another_room_asks_for_a_reload(gateway, open_page) -> None:
+    opened = open_page(gateway.url)
+    opened.wait_for("s.sequence === 1")
+    gateway.room_revision = 2
+    gateway.send(gateway.light_packet(9.0))
+    expect(opened.page.get_by_role("heading", name="The room has changed")).to_be_visible()
+    assert opened.state()["sequence"] == 1
+
+
+def test_failed_drawing_is_explained_once(gateway, open_page) -> None:
+    opened = open_page(gateway.url)
+    opened.wait_for("s.sequence === 1")
+    opened.page.evaluate(
+        "() => { window.standIn.render = () => { throw new Error('out of texture memory') } }"
+    )
+    gateway.send(gateway.light_packet(9.0))
+    expect(opened.page.get_by_role("heading", name="The picture cannot be drawn")).to_be_visible()
+    expect(opened.page.get_by_text("out of texture memory")).to_be_visible()
+    assert opened.complaints == []
+
+
 def test_objects_are_dragged_turned_and_put_back(gateway, open_page) -> None:
     opened = open_page(gateway.url)
     opened.wait_for("s.connection === 'live'")

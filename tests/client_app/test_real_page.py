@@ -44,6 +44,7 @@ class Service:
 
     url: str
     hub: LightHub
+    room_revision: int
     requests: list[Any] = field(default_factory=list)
     sequence: int = 0
 
@@ -56,6 +57,7 @@ class Service:
         packet = LightPacket(
             sequence=self.sequence,
             timestamp_ns=1,
+            room_revision=self.room_revision,
             vals=vals,
             object_sh=np.zeros((1, 9, 3), np.float32),
             object_revisions=np.zeros(1, np.uint32),
@@ -76,7 +78,7 @@ def served_scene(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ServedSce
 @pytest.fixture
 def service(served_scene: ServedScene, real_page_dir: Path) -> Iterator[Service]:
     hub = LightHub()
-    service = Service("", hub)
+    service = Service("", hub, served_scene.description.room.revision)
 
     class Controls:
         def request(self, request: Any) -> None:

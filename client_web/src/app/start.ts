@@ -63,7 +63,12 @@ async function start(shell: Shell, platform: Platform, options: ViewerOptions): 
       shell.overlay.progress(title, total > 0 ? Math.min(1, loaded / total) : null)
     },
   )
-  const viewer = new Viewer(shell, scene, renderer, roomTriangles, settings, options)
+  const reload = (): void => window.location.reload()
+  const viewer = new Viewer(shell, scene, renderer, roomTriangles, settings, options, {
+    drawingFailed: (error) => shell.overlay.fail(strings.messages.drawTitle, wordsOf(error), reload),
+    roomChanged: () =>
+      shell.overlay.fail(strings.messages.roomChangedTitle, strings.messages.roomChanged, reload),
+  })
   watchContext(shell, viewer)
   const status = new StatusDisplay(shell, viewer)
   if (!options.evaluate) {

@@ -1,13 +1,13 @@
 /** The running page: light, camera and objects in, pictures out. Draws only when something changed. */
-import { LatestSender } from '../interaction/latestSender'
 import { PointerInput } from '../interaction/pointerInput'
-import type { PoseParts } from '../interaction/pose'
 import type { RoomTriangles } from '../interaction/roomSurface'
 import type { ControlState, LightPacket } from '../protocol/codec'
 import type { SceneDescription } from '../state/sceneDescription'
 import type { PictureSettings } from '../ui/picturePanel'
 import type { SceneControls, Shell, ShellActions, ViewChoice } from '../ui/shell'
 import { CameraControl } from './cameraControl'
+import { renderUntilDone } from './composite'
+import { ControlChannel } from './controlChannel'
 import { suitableExposure } from './exposure'
 import { FrameLoop } from './frameLoop'
 import { handleKey } from './keyboard'
@@ -23,21 +23,19 @@ import type {
 } from './ports'
 import { ResolutionGovernor } from './resolutionGovernor'
 
-/** At most 15 control messages per second leave a page. */
-const SEND_INTERVAL_MS = 67
-/** How long the server's echo of an own message may take. */
-const SETTLE_MS = 600
 const FRAME_MS_SMOOTHING = 0.1
-const COMPOSITE_TIMEOUT_MS = 120_000
 /** After so many unfinished frames the exposure is measured all the same. */
 const EXPOSURE_PATIENCE = 90
-
-type ControlKey = `light ${number}` | `object ${number}`
-type ControlValue = number | PoseParts
 
 export interface ViewerOptions {
   /** For `nearfield evaluate`: no interface, no cross-fade, no animation, full quality. */
   readonly evaluate: boolean
+}
+
+/** What the viewer cannot deal with itself; it has stopped drawing by then. */
+export interface ViewerFaults {
+  drawingFailed(error: unknown): void
+  roomChanged(): void
 }
 
 export interface ViewerNumbers {
@@ -54,12 +52,12 @@ export class Viewer implements ShellActions {
   readonly #shell: Shell
   readonly #renderer: PictureRenderer
   readonly #options: ViewerOptions
+  readonly #faults: ViewerFaults
   readonly #loop: FrameLoop
   readonly #governor = new ResolutionGovernor(window.devicePixelRatio)
-  readonly #sender: LatestSender<ControlKey, ControlValue>
+  readonly #outbox = new ControlChannel()
   readonly #weights: Float32Array
   #controls: SceneControls | null = null
-  #connection: Connection | null = null
   #connectionState: ConnectionState = { kind: 'connecting' }
   #onConnectionState: (state: ConnectionState) => void = () => undefined
   #picture: PictureSettings
@@ -77,11 +75,13 @@ export class Viewer implements ShellActions {
     room: RoomTriangles,
     settings: RendererSettings,
     options: ViewerOptions,
+    faults: ViewerFaults,
   ) {
     this.#shell = shell
     this.scene = scene
     this.#renderer = renderer
     this.#options = options
+    this.#faults = faults
     this.feed = new LightFeed(
       scene.settings.stale_after_ms,
       options.evaluate ? { fadeMs: 0, placeTolerance: 0 } : {},
@@ -89,16 +89,15 @@ export class Viewer implements ShellActions {
     this.#picture = { ...settings, autoExposure: scene.settings.exposure === null }
     this.#exposureDue = this.#picture.autoExposure && !options.evaluate
     this.#weights = Float32Array.from(scene.lights, (light) => light.weight)
-    this.#sender = new LatestSender(SEND_INTERVAL_MS, (key, value) => this.#send(key, value))
-    this.#loop = new FrameLoop((nowMs, sinceLastMs) => this.#draw(nowMs, sinceLastMs))
+    this.#loop = new FrameLoop((nowMs, sinceLastMs) => this.#drawSafely(nowMs, sinceLastMs))
     this.objects = new ObjectControl(scene, room, {
       poseChanged: (objectIndex, pose) => {
         renderer.setObjectPose(objectIndex, pose)
         this.requestFrame()
       },
-      poseToSend: (objectIndex, parts) => this.#sender.offer(`object ${objectIndex}`, parts),
+      poseToSend: (objectIndex, parts) => this.#outbox.setObjectPose(objectIndex, parts),
       selected: (objectIndex) => this.#controls?.setSelectedObject(objectIndex),
-      isUnsettled: (objectIndex) => this.#sender.isBusy(`object ${objectIndex}`, SETTLE_MS),
+      isUnsettled: (objectIndex) => this.#outbox.isObjectUnsettled(objectIndex),
       pick: (xNdc, yNdc) => this.#pick(xNdc, yNdc),
       ray: (xNdc, yNdc) => this.camera.ray(xNdc, yNdc, this.#size.width / this.#size.height),
     })
@@ -153,22 +152,28 @@ export class Viewer implements ShellActions {
     onRefused: (text: string) => void,
   ): void {
     this.#onConnectionState = onState
-    this.#connection = open({
+    const connection = open({
       state: (state) => this.#takeConnectionState(state),
       light: (packet, numBytes) => this.takeLight(packet, numBytes),
       atlas: (tiles) => {
-        this.#renderer.updateAtlas(tiles)
-        this.requestFrame()
+        if (this.#isOfThisRoom(tiles.roomRevision)) {
+          this.#renderer.updateAtlas(tiles)
+          this.requestFrame()
+        }
       },
       controlState: (state) => this.#takeControlState(state),
       status: (status) => this.feed.observeStatus(status, performance.now()),
       refused: onRefused,
     })
-    this.#connection.wantAtlas(this.#wantsAtlas())
+    this.#outbox.connection = connection
+    connection.wantAtlas(this.#wantsAtlas())
   }
 
   /** Takes a packet as if it had just arrived; also the entrance for tests. */
   takeLight(packet: LightPacket, numBytes: number): boolean {
+    if (!this.#isOfThisRoom(packet.roomRevision)) {
+      return false
+    }
     const isNew = this.feed.push(packet, numBytes, performance.now())
     if (isNew && this.#options.evaluate) {
       this.#takeFrameLight(performance.now())
@@ -198,7 +203,7 @@ export class Viewer implements ShellActions {
     this.camera.select(view)
     this.#controls?.setView(view)
     this.#exposureDue = this.#exposureDue || (this.#picture.autoExposure && view !== 'free')
-    this.#connection?.wantAtlas(this.#wantsAtlas())
+    this.#outbox.connection?.wantAtlas(this.#wantsAtlas())
     this.layoutChanged()
   }
 
@@ -210,7 +215,7 @@ export class Viewer implements ShellActions {
       )
     }
     this.#showLightWeight(lightIndex, weight)
-    this.#sender.offer(`light ${lightIndex}`, weight)
+    this.#outbox.setLightWeight(lightIndex, weight)
   }
 
   selectObject(objectIndex: number): void {
@@ -267,7 +272,7 @@ export class Viewer implements ShellActions {
     this.#renderer.setSize(view.width, view.height)
     this.#renderer.setCamera({ kind: 'tablet', viewIndex })
     this.#takeFrameLight(performance.now())
-    this.#report = await this.#renderUntilDone()
+    this.#report = await renderUntilDone(this.#renderer)
     const rgba = this.#renderer.readComposite()
     this.#renderer.setOptions({ fullQuality: this.#options.evaluate })
     if (!this.#options.evaluate) {
@@ -278,17 +283,15 @@ export class Viewer implements ShellActions {
     return { width: view.width, height: view.height, rgba }
   }
 
-  async #renderUntilDone(): Promise<FrameReport> {
-    const start = performance.now()
-    while (performance.now() - start < COMPOSITE_TIMEOUT_MS) {
-      const report = this.#renderer.render(performance.now())
-      if (!report.pending) {
-        return report
-      }
-      // Pictures may still be on their way; let them arrive.
-      await new Promise((resolve) => window.setTimeout(resolve, 0))
+  #drawSafely(nowMs: number, sinceLastMs: number | null): boolean {
+    try {
+      return this.#draw(nowMs, sinceLastMs)
+    } catch (error) {
+      // A frame that failed would fail again, sixty times a second.
+      this.pause()
+      this.#faults.drawingFailed(error)
+      return false
     }
-    throw new Error(`The renderer did not finish the picture within ${COMPOSITE_TIMEOUT_MS / 1000} s.`)
   }
 
   #draw(nowMs: number, sinceLastMs: number | null): boolean {
@@ -335,6 +338,16 @@ export class Viewer implements ShellActions {
     }
   }
 
+  /** Light of another room model cannot be shown in this one: the server was started with another room. */
+  #isOfThisRoom(roomRevision: number): boolean {
+    const { revision } = this.scene.room
+    if (roomRevision !== revision) {
+      this.pause()
+      this.#faults.roomChanged()
+    }
+    return roomRevision === revision
+  }
+
   #pick(xNdc: number, yNdc: number): ReturnType<ObjectControl['pickObject']> {
     const hit = this.#renderer.pick(xNdc, yNdc)
     if (!hit || hit.objectIndex < 0) {
@@ -373,25 +386,12 @@ export class Viewer implements ShellActions {
     }
     state.lightWeights.forEach((weight, index) => {
       const isKnown = index < this.#weights.length
-      if (
-        isKnown &&
-        Math.fround(weight) !== this.#weights[index] &&
-        !this.#sender.isBusy(`light ${index}`, SETTLE_MS)
-      ) {
+      if (isKnown && Math.fround(weight) !== this.#weights[index] && !this.#outbox.isLightUnsettled(index)) {
         this.#showLightWeight(index, weight)
       }
     })
     state.objectPoses.forEach((pose, index) => {
       this.objects.applyServerPose(index, pose)
     })
-  }
-
-  #send(key: ControlKey, value: ControlValue): void {
-    const index = Number(key.slice(key.indexOf(' ') + 1))
-    if (typeof value === 'number') {
-      this.#connection?.setLightWeight(index, value)
-    } else {
-      this.#connection?.setObjectPose(index, value.position, value.quaternion)
-    }
   }
 }

@@ -78,6 +78,8 @@ export const strings = {
     contextLost: 'The device took back the memory of the picture. The page continues as soon as it returns.',
     sceneTitle: 'The room cannot be shown',
     noServer: 'The server does not answer. Check that it runs and that this device is in the same network.',
+    roomChangedTitle: 'The room has changed',
+    roomChanged: 'The server shows another room now. Reload the page to see it.',
     drawTitle: 'The picture cannot be drawn',
     lightRefused: 'A light update could not be read and was left out.',
   },
