@@ -1,0 +1,197 @@
+"""Shading against closed forms, and differential rendering against its definition."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+pytestmark = pytest.mark.browser
+
+WIDTH, HEIGHT = 112, 84
+
+
+def _furnished_scene(harness: Any, background: NDArray[np.float32] | None = None) -> dict[str, Any]:
+    """A closed room with a table; one sphere on the table, one on the floor behind it."""
+    view = harness.view([1.4, 1.5, 2.6], [-0.1, 0.45, 0.0], WIDTH, HEIGHT, 110.0)
+    if background is not None:
+        view["background"] = np.asarray(background[..., :3], float).ravel().tolist()
+    return {
+        "room": harness.join(
+            harness.box([-2, 0, -2], [2, 2.4, 3], [0.7, 0.6, 0.5], inward=True),
+            harness.box([-0.5, 0.0, -0.3], [0.5, 0.5, 0.4], [0.4, 0.5, 0.6], inward=False),
+        ),
+        "objects": [harness.sphere([0.1, 0.68, 0.0], 0.18), harness.sphere([-0.6, 0.25, -0.7], 0.25)],
+        "views": [view],
+    }
+
+
+def _many_vals(harness: Any, count: int) -> list[dict[str, Any]]:
+    """Discs on the ceiling and three walls, unequal in size and colour."""
+    rng = np.random.default_rng(7)
+    vals = []
+    for i in range(count):
+        radius, radiance = rng.uniform(0.02, 0.3), rng.uniform(0.2, 8.0, 3)
+        a, b = rng.uniform(-1.7, 1.7, 2)
+        height = rng.uniform(0.4, 2.0)
+        place, normal = [
+            ([a, 2.39, b], [0, -1, 0]),
+            ([-1.99, height, a], [1, 0, 0]),
+            ([1.99, height, a], [-1, 0.0, 0]),
+            ([a, height, -1.99], [0, 0, 1]),
+        ][i % 4]
+        vals.append(harness.val(place, normal, radius, radiance.tolist()))
+    return vals
+
+
+@pytest.mark.parametrize("count", [5, 64])
+def test_tiles_change_no_bit(harness: Any, count: int) -> None:
+    harness.create(_furnished_scene(harness), WIDTH, HEIGHT)
+    harness.call("setLight", _many_vals(harness, count), [0.3] * 54)
+    pictures = []
+    for tiled in (True, False):
+        harness.call("setOptions", {"tiled": tiled})
+        pictures.append(harness.picture())
+    assert pictures[0].max() > 0.1
+    np.testing.assert_array_equal(pictures[0].view(np.uint32), pictures[1].view(np.uint32))
+
+
+def test_composite_of_a_lit_room_is_the_augmented_room(harness: Any) -> None:
+    """Eq. 13 on a background made by the same light equals drawing the augmented room (Eq. 12 everywhere)."""
+    options = {"antiAliasing": False, "indirectOcclusion": False}
+    vals = _many_vals(harness, 16)
+    harness.create(_furnished_scene(harness), WIDTH, HEIGHT, **options)
+    harness.call("setLight", vals, [0.0] * 54)
+    pictures = {}
+    for mode in ("room", "augmented"):
+        harness.call("setMode", mode)
+        pictures[mode] = harness.picture()
+    harness.create(_furnished_scene(harness, pictures["room"]), WIDTH, HEIGHT, **options)
+    harness.call("setLight", vals, [0.0] * 54)
+    composite, augmented = harness.picture(), pictures["augmented"]
+    is_real = augmented[..., 3] == 0
+    shadow = np.abs(pictures["room"] - augmented)[is_real, :3].max()
+    assert shadow > 0.05
+    assert 0.005 < 1 - is_real.mean() < 0.5
+    np.testing.assert_allclose(composite[..., :3], augmented[..., :3], rtol=0, atol=1e-6)
+
+
+def test_background_picture_passes_unchanged(harness: Any) -> None:
+    """Without light and objects the composite is the background, in the orientation and to the precision of its file."""
+    picture = np.random.default_rng(3).uniform(0, 5, (HEIGHT, WIDTH, 4)).astype(np.float32)
+    scene = _furnished_scene(harness, picture)
+    scene["objects"] = []
+    harness.create(scene, WIDTH, HEIGHT)
+    np.testing.assert_allclose(harness.picture()[..., :3], picture[..., :3], rtol=3e-7)
+
+
+def test_disc_on_a_plane_equals_the_closed_form(harness: Any) -> None:
+    view = harness.view([0, 2.0, 0.0], [0, 0, 0], 96, 97, 60.0)
+    scene = {"room": harness.floor(albedo=0.8), "objects": [], "views": [view]}
+    harness.create(scene, 96, 97, antiAliasing=False)
+    height, radius, radiance = 0.4, 0.25, 7.0
+    harness.call("setLight", [harness.val([0, height, 0], [0, -1, 0], radius, radiance)], [])
+    harness.call("setMode", "room")
+    found = harness.picture()[..., 0]
+    x = harness.floor_points(view)
+    to_val = np.array([0, height, 0]) - x
+    squared = np.sum(to_val**2, axis=-1)
+    cosine = height / np.sqrt(squared)
+    intensity, area = radiance * np.pi * radius**2, np.pi * radius**2
+    expected = 0.8 / np.pi * intensity * cosine**2 / (squared + area / np.pi)
+    np.testing.assert_allclose(found, expected, rtol=2e-4)
+    # On the axis the disc form is the exact irradiance pi L R^2 / (R^2 + h^2).
+    near = np.argmin(np.hypot(x[..., 0], x[..., 2]))
+    exact = 0.8 * radiance * radius**2 / (radius**2 + height**2)
+    assert found.ravel()[near] == pytest.approx(exact, rel=2e-3)
+
+
+def test_uniform_light_on_a_convex_object_is_its_albedo(harness: Any) -> None:
+    """White furnace: under radiance 2 from everywhere a convex object shows albedo * 2, however it is turned."""
+    scene = {
+        "room": harness.floor(),
+        "objects": [harness.sphere([0, 1, 0], 0.4, albedo=0.6, isConvex=True)],
+        "views": [harness.view([0, 1.2, 2], [0, 1, 0], 80, 60, 100.0)],
+    }
+    harness.create(scene, 80, 60, antiAliasing=False)
+    sh = np.zeros((9, 3))
+    sh[0] = 2.0 * np.sqrt(4 * np.pi)
+    harness.call("setLight", [], sh.ravel().tolist())
+    picture = harness.picture()
+    inside = picture[..., 3] == 1
+    assert inside.sum() > 500
+    # Radiance stands in a half float.
+    np.testing.assert_allclose(picture[inside, :3], 1.2, rtol=1e-3)
+
+
+def test_indirect_light_does_not_turn_with_the_object(harness: Any) -> None:
+    scene = {
+        "room": harness.floor(),
+        "objects": [harness.sphere([0, 1, 0], 0.4, isConvex=True)],
+        "views": [harness.view([0, 1.2, 2], [0, 1, 0], 80, 60, 100.0)],
+    }
+    harness.create(scene, 80, 60, antiAliasing=False)
+    rng = np.random.default_rng(5)
+    sh = rng.uniform(-0.3, 0.3, (9, 3))
+    sh[0] = 4.0
+    harness.call("setLight", [], sh.ravel().tolist())
+    first = harness.picture()
+    rotation, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+    pose = np.eye(4)
+    pose[:3, :3] = rotation * np.sign(np.linalg.det(rotation))
+    pose[:3, 3] = [0, 1, 0]
+    harness.call("setPose", 0, pose.ravel().tolist())
+    second = harness.picture()
+    both = (first[..., 3] == 1) & (second[..., 3] == 1)
+    assert first[both, :3].std() > 0.02
+    # Half floats, and another tessellation in every turn.
+    np.testing.assert_allclose(second[both, :3], first[both, :3], atol=4e-3)
+
+
+def test_indirect_exchange_equals_the_closed_form(harness: Any) -> None:
+    """A field that is the same everywhere: albedo / pi * E_block * (L_object - L_hidden) on the floor under it."""
+    o = np.array([0.9, 0.5, 0.1, -0.2, 0.0, 0.1, -0.1, 0.05, 0.0], np.float16).astype(float)
+    field = {"boxMin": [-0.5, -1.2, -0.5], "boxSize": [1.0, 1.6, 1.0], "coeffs": o.tolist()}
+    albedo = 0.6
+    view = harness.view([0, 2.5, 0.001], [0, 0, 0], 64, 64, 60.0)
+    background = np.full((64, 64, 3), 2.0, np.float32)
+    view["background"] = background.ravel().tolist()
+    scene = {
+        "room": harness.floor(albedo=0.5),
+        "objects": [harness.sphere([0, 1, 0], 0.05, albedo=albedo, isConvex=True, field=field)],
+        "views": [view],
+    }
+    harness.create(scene, 64, 64, antiAliasing=False)
+    sh = np.array([4.0, 0.5, -0.3, 0.2, 0.1, -0.2, 0.3, 0.05, 0.1])
+    harness.call("setLight", [], np.repeat(sh, 3).tolist())
+    kernel = np.array([np.pi] + [2 * np.pi / 3] * 3 + [np.pi / 4] * 5)
+    direction = np.array([o[3], o[1], o[2]]) / np.linalg.norm(o[1:4])
+    blocked = np.sum(kernel * o * _sh_basis(0, 1, 0))
+    hidden = sh @ _sh_basis(*direction)
+    bounced = albedo / np.pi * np.sum(kernel * sh * _sh_basis(*-direction))
+    expected = 2.0 + 0.5 / np.pi * blocked * (bounced - hidden)
+    picture = harness.picture()
+    x = harness.floor_points(view)
+    inside = (np.abs(x[..., 0]) < 0.38) & (np.abs(x[..., 2]) < 0.38) & (picture[..., 3] == 0)
+    outside = (np.abs(x[..., 0]) > 0.51) | (np.abs(x[..., 2]) > 0.51)
+    assert abs(expected - 2.0) > 0.1
+    np.testing.assert_allclose(picture[inside, :3], expected, rtol=2e-4)
+    np.testing.assert_array_equal(picture[outside, :3], 2.0)
+
+
+def _sh_basis(x: float, y: float, z: float) -> NDArray[np.float64]:
+    return np.array(
+        [
+            0.28209479177387814,
+            0.4886025119029199 * y,
+            0.4886025119029199 * z,
+            0.4886025119029199 * x,
+            1.0925484305920792 * x * y,
+            1.0925484305920792 * y * z,
+            0.31539156525252005 * (3 * z * z - 1),
+            1.0925484305920792 * x * z,
+            0.5462742152960396 * (x * x - y * y),
+        ]
+    )
