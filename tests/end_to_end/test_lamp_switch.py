@@ -125,11 +125,12 @@ def test_the_page_shows_what_arrives(page: Any) -> None:
     assert state["numVals"] == 16
     # Half of the 32 bytes per VAL and 108 per object of Rohmer et al. 2014, behind a header of 80 and one pose revision.
     assert 0 < state["packetBytes"] <= 80 + (16 * 32 + 108) // 2 + 8
-    expect = playwright.expect
-    expect(page.get_by_text(re.compile("Live"))).to_be_visible()
+    playwright.expect(page.get_by_text(re.compile("^Live")).first).to_be_visible()
 
 
 def test_nothing_is_drawn_when_nothing_changes(page: Any) -> None:
-    page.wait_for_timeout(1000)
-    passes = page.evaluate("() => window.nearfield.state().lastFrame.passes")
-    assert not any(p["ran"] for p in passes if p["name"] in ("gbuffer", "shadow maps", "shade")), passes
+    page.wait_for_timeout(5000)
+    before = page.evaluate("() => window.nearfield.state().lastFrame")
+    page.wait_for_timeout(3000)
+    # The time of the last frame would differ if another one had been drawn meanwhile.
+    assert page.evaluate("() => window.nearfield.state().lastFrame") == before
