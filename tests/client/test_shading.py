@@ -88,9 +88,9 @@ def test_background_picture_passes_unchanged(harness: Any) -> None:
 
 
 def test_disc_on_a_plane_equals_the_closed_form(harness: Any) -> None:
-    view = harness.view([0, 2.0, 0.0], [0, 0, 0], 96, 97, 60.0)
-    scene = {"room": harness.floor(albedo=0.8), "objects": [], "views": [view]}
-    harness.create(scene, 96, 97, antiAliasing=False)
+    view = harness.view([0, 2.0, 0.0], [0, 0, 0], 97, 97, 60.0)
+    scene = {"room": harness.floor(albedo=0.75), "objects": [], "views": [view]}
+    harness.create(scene, 97, 97, antiAliasing=False)
     height, radius, radiance = 0.4, 0.25, 7.0
     harness.call("setLight", [harness.val([0, height, 0], [0, -1, 0], radius, radiance)], [])
     harness.call("setMode", "room")
@@ -100,11 +100,11 @@ def test_disc_on_a_plane_equals_the_closed_form(harness: Any) -> None:
     squared = np.sum(to_val**2, axis=-1)
     cosine = height / np.sqrt(squared)
     intensity, area = radiance * np.pi * radius**2, np.pi * radius**2
-    expected = 0.8 / np.pi * intensity * cosine**2 / (squared + area / np.pi)
+    expected = 0.75 / np.pi * intensity * cosine**2 / (squared + area / np.pi)
     np.testing.assert_allclose(found, expected, rtol=2e-4)
     # On the axis the disc form is the exact irradiance pi L R^2 / (R^2 + h^2).
     near = np.argmin(np.hypot(x[..., 0], x[..., 2]))
-    exact = 0.8 * radiance * radius**2 / (radius**2 + height**2)
+    exact = 0.75 * radiance * radius**2 / (radius**2 + height**2)
     assert found.ravel()[near] == pytest.approx(exact, rel=2e-3)
 
 
