@@ -24,7 +24,7 @@ body { font: 15px/1.45 system-ui, sans-serif; margin: 2rem auto; max-width: 96re
 h1 { font-size: 1.5rem; } h2 { font-size: 1.15rem; margin-top: 2rem; }
 table { border-collapse: collapse; margin: .5rem 0 1rem; }
 td, th { border-bottom: 1px solid #d8d8d2; padding: .25rem .9rem .25rem 0; text-align: left; font-variant-numeric: tabular-nums; }
-.row { display: grid; grid-template-columns: repeat(auto-fit, minmax(22rem, 1fr));
+.row { display: grid; grid-template-columns: repeat(auto-fit, minmax(min(30rem, 100%), 1fr));
   gap: .8rem; }
 figure { margin: 0; } img { width: 100%; display: block; background: #000; } figcaption { font-size: .85rem; color: #555a62; }
 @media (prefers-color-scheme: dark) {
