@@ -25,12 +25,13 @@ from nearfield_server.pipeline.probes import ProbeTracer
 from nearfield_server.radiometry.cube import cube_directions, cube_solid_angles
 from nearfield_server.records import RoomMesh, TexelGeometry
 
-_RESOLUTION: Final = 16
-_RECEIVERS: Final = 8
+_RESOLUTION: Final = 24
+_RECEIVERS: Final = 7
 _MAX_GROUPS: Final = 160
 _SOURCE_TEXELS: Final = 32
 _MIN_ALBEDO: Final = 0.05
 _MIN_COSINE: Final = 0.1
+_FRONTAL_POWER: Final = 4
 _MIN_FACING: Final = 0.5
 """Length of the mean normal below which a surface is too curved to be one light."""
 _OFFSET: Final = 2e-3
@@ -186,7 +187,9 @@ def _choose_receivers(
     offset = texels.position[candidates].astype(np.float64) - origin
     squared = np.maximum(np.einsum("ni,ni->n", offset, offset), 1e-6)
     incoming = -np.einsum("ni,ni->n", offset, texels.normal[candidates].astype(np.float64)) / np.sqrt(squared)
-    strength = (offset @ normal) / np.sqrt(squared) * np.maximum(incoming, 0.0) / squared
+    facing = (offset @ normal) / np.sqrt(squared)
+    # Shades and frames hide a lamp from the side: receivers in front of it tell more than those that only glimpse it.
+    strength = facing**_FRONTAL_POWER * np.maximum(incoming, 0.0) / squared
     strength[incoming < _MIN_COSINE] = 0.0
     order = np.argsort(-strength)[: 4 * _RECEIVERS]
     order = order[strength[order] > 0.0]
@@ -283,7 +286,10 @@ def _evidence(
 
 @njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
 def _explain(factors: Any, group_rows: Any, measured: Any, missing: Any, needed: Any) -> Any:
-    """Let surfaces explain the missing light one after the other, the one that its receivers agree on best first."""
+    """Let surfaces explain the missing light one after the other, the brightest first.
+
+    Lamps are small and bright, and what surrounds a lamp only repeats its light.
+    """
     num_groups = factors.shape[1]
     result = np.zeros((num_groups, 3))
     found = np.zeros((num_groups, 3))
@@ -303,7 +309,7 @@ def _explain(factors: Any, group_rows: Any, measured: Any, missing: Any, needed:
                 )
                 stale[surface] = False
             believed = share[surface] >= needed[surface] and spread[surface] <= _MAX_SPREAD
-            if believed and (best < 0 or spread[surface] < spread[best]):
+            if believed and (best < 0 or found[surface].sum() > found[best].sum()):
                 best = surface
         if best < 0:
             break

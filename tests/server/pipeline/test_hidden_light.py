@@ -24,7 +24,7 @@ class NothingToRepeat:
 
 @pytest.fixture(scope="module")
 def small_room() -> BoxRoom:
-    return make_box_room(atlas_size=60, num_cameras=2, camera_size=64)
+    return make_box_room(atlas_size=60, num_cameras=2, camera_size=256)
 
 
 @pytest.fixture(scope="module")
