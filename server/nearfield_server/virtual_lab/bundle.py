@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -78,8 +77,8 @@ QUALITIES = {
         cell_rays=4,
         view_samples=64,
         view_rays=16,
-        camera_samples=32,
-        camera_rays=16,
+        camera_samples=16,
+        camera_rays=8,
         point_replicas=128,
         point_samples=128,
     ),
@@ -166,7 +165,7 @@ class _Writer:
             albedo=cells.albedo.astype(np.float16),
         )
 
-    def finish(self, quality: Quality, atlas: dict[str, Any], seconds: float) -> None:
+    def finish(self, quality: Quality, atlas: dict[str, Any]) -> None:
         description = describe_scene(self.scene)
         description["uv_atlas"] = atlas
         description["preview_exposure"] = self.exposure
@@ -179,7 +178,6 @@ class _Writer:
                 "cam_spp": quality.camera_samples,
                 "cam_gather_rays": quality.camera_samples * quality.camera_rays,
                 "cell_rays": quality.cell_points * quality.cell_rays,
-                "seconds": round(seconds, 1),
             },
             "codecs": self.codec_report,
         }
@@ -266,7 +264,6 @@ def generate_bundle(
         codecs: compression.
         progress: called `count_steps` times.
     """
-    start = time.monotonic()
     writer = _Writer(scene, out, codecs)
     atlas = pack_room(scene)
     write_room_glb(scene, atlas, out / "room.glb")
@@ -311,4 +308,4 @@ def generate_bundle(
             progress=progress,
         )
         writer.camera(index, image)
-    writer.finish(quality, atlas.as_json(), time.monotonic() - start)
+    writer.finish(quality, atlas.as_json())

@@ -29,10 +29,10 @@ TINY_CODECS = Codecs(
     cell_mantissa_bits=8,
 )
 LAB_CODECS = Codecs(
-    camera=Codec(dwaa_level=250),
-    view=Codec(dwaa_level=200),
+    camera=Codec(dwaa_level=320),
+    view=Codec(dwaa_level=250),
     small=Codec(dwaa_level=45),
-    small_direct=Codec(dwaa_level=45),
+    small_direct=Codec(dwaa_level=60),
     cell_mantissa_bits=6,
 )
 
