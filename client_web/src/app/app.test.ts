@@ -2,6 +2,7 @@ import * as fc from 'fast-check'
 import { describe, expect, it } from 'vitest'
 import { suitableExposure } from './exposure'
 import { FrameLoop, type FrameScheduler } from './frameLoop'
+import { FrameTime } from './frameTime'
 import { RESOLUTION_STEPS, ResolutionGovernor } from './resolutionGovernor'
 
 class FakeFrames implements FrameScheduler {
@@ -126,5 +127,22 @@ describe('suitableExposure', () => {
     const twice = rgba.map((value) => 2 * value)
     expect((suitableExposure(rgba) ?? 0) / (suitableExposure(twice) ?? 1)).toBeCloseTo(2, 5)
     expect(suitableExposure(new Float32Array(400))).toBeNull()
+  })
+})
+
+describe('FrameTime', () => {
+  it('is the median of the newest frames', () => {
+    const time = new FrameTime()
+    expect(time.medianMs).toBeNull()
+    time.observe(7000)
+    expect(time.medianMs).toBe(7000)
+    for (let i = 0; i < 4; i++) {
+      time.observe(16)
+    }
+    expect(time.medianMs).toBe(16)
+    for (let i = 0; i < 8; i++) {
+      time.observe(33)
+    }
+    expect(time.medianMs).toBe(33)
   })
 })

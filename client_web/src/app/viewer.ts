@@ -10,6 +10,7 @@ import { renderUntilDone } from './composite'
 import { ControlChannel } from './controlChannel'
 import { suitableExposure } from './exposure'
 import { FrameLoop } from './frameLoop'
+import { FrameTime } from './frameTime'
 import { handleKey } from './keyboard'
 import { LightFeed } from './lightFeed'
 import { ObjectControl } from './objectControl'
@@ -23,7 +24,6 @@ import type {
 } from './ports'
 import { ResolutionGovernor } from './resolutionGovernor'
 
-const FRAME_MS_SMOOTHING = 0.1
 /** After so many unfinished frames the exposure is measured all the same. */
 const EXPOSURE_PATIENCE = 90
 
@@ -62,8 +62,8 @@ export class Viewer implements ShellActions {
   #onConnectionState: (state: ConnectionState) => void = () => undefined
   #picture: PictureSettings
   #exposureDue: boolean
+  readonly #frameTime = new FrameTime()
   #report: FrameReport = { passes: [], cpuMs: 0, pending: false }
-  #frameMs: number | null = null
   #unfinishedFrames = 0
   #hasControlState = false
   #size = { width: 0, height: 0 }
@@ -130,7 +130,7 @@ export class Viewer implements ShellActions {
   }
 
   get numbers(): ViewerNumbers {
-    return { frameMs: this.#frameMs, ...this.#size }
+    return { frameMs: this.#frameTime.medianMs, ...this.#size }
   }
 
   get controls(): SceneControls | null {
@@ -296,10 +296,7 @@ export class Viewer implements ShellActions {
 
   #draw(nowMs: number, sinceLastMs: number | null): boolean {
     if (sinceLastMs !== null) {
-      this.#frameMs =
-        this.#frameMs === null
-          ? sinceLastMs
-          : this.#frameMs + FRAME_MS_SMOOTHING * (sinceLastMs - this.#frameMs)
+      this.#frameTime.observe(sinceLastMs)
       if (this.#governor.observe(sinceLastMs)) {
         this.layoutChanged()
       }
