@@ -98,12 +98,12 @@ class GatherTable:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class UnseenFill:
-    """What to put where no camera looks: unseen texels may repeat a seen texel of the same connected surface.
+    """What to put where no camera looks: unseen texels may repeat a seen texel.
 
     Attributes:
         texel: (M,) int32 positions (texel order) of all texels without pairs in the gather table.
-        source: (M,) int32 position of the nearest seen texel of the same surface, or -1 where the whole surface is unseen
-            (its radiance stays 0).
+        source: (M,) int32 position of the seen texel to repeat: the nearest of the same surface, else the most alike; -1
+            where there is none (unseen black surfaces, which include unseen lamps), so that the radiance stays 0.
     """
 
     texel: NDArray[np.int32]

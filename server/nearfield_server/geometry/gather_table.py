@@ -44,6 +44,8 @@ _SUBPIXELS = np.linspace(-0.6, 0.6, 5)
 BLACK_ALBEDO = 0.02
 # Positions at which the share of a pixel's area is measured.
 _PIXEL_AREA = (np.arange(8) + 0.5) / 8 - 0.5
+# Metres that count as much as the distance between two unit normals of 1, and as an albedo difference of 1.
+_NORMAL_METRES, _ALBEDO_METRES = 0.3, 1.0
 Progress = Callable[[str, float], None]
 
 
@@ -110,7 +112,12 @@ def build_gather_table(
 
 
 def find_unseen_fill(mesh: RoomMesh, texels: TexelGeometry, table: GatherTable) -> UnseenFill:
-    """For texels that no camera sees, the nearest seen texel of the same connected surface."""
+    """For texels that no camera sees, a seen texel whose radiance is the best guess.
+
+    That is the nearest seen texel of the same connected surface. Where the whole surface is unseen (undersides, backs), it is
+    the seen texel most alike in place, direction and albedo. Black surfaces neither give nor take then: their light is
+    emitted, and a lamp must not be copied onto its housing.
+    """
     seen = np.diff(table.pair_start) > 0
     unseen = np.flatnonzero(~seen)
     source = np.full(len(unseen), -1, dtype=np.int32)
@@ -122,6 +129,14 @@ def find_unseen_fill(mesh: RoomMesh, texels: TexelGeometry, table: GatherTable) 
         wanted = unseen_groups == group
         _, nearest = cKDTree(texels.position[candidates]).query(texels.position[unseen[wanted]])
         source[wanted] = candidates[nearest]
+    albedo = mesh.material_albedo[mesh.face_material[texels.face]]
+    reflects = albedo.max(axis=1) > BLACK_ALBEDO
+    candidates = np.flatnonzero(seen & reflects)
+    left = np.flatnonzero((source < 0) & reflects[unseen])
+    if len(candidates) and len(left):
+        features = np.hstack([texels.position, _NORMAL_METRES * texels.normal, _ALBEDO_METRES * albedo])
+        _, nearest = cKDTree(features[candidates]).query(features[unseen[left]])
+        source[left] = candidates[nearest]
     return UnseenFill(texel=unseen.astype(np.int32), source=source)
 
 

@@ -199,7 +199,7 @@ def load_bundle(path: str | Path) -> Bundle:
     cameras = tuple(_camera(fields, len(lights)) for fields in scene.items("cameras"))
     if not cameras:
         raise AssetError(f"{file}:cameras: expected at least one camera, found none.")
-    files = scene.sub("files") if scene.has("files") else None
+    files = scene.sub("files") if scene.holds("files", dict) else None
     return Bundle(
         name=scene.text("room"),
         folder=file.parent,
@@ -220,7 +220,7 @@ def load_bundle(path: str | Path) -> Bundle:
 
 def _companion(files: Fields | None, scene_file: Path, key: str, default: str) -> Path | None:
     """A truth file: named in `files` (its first word; the rest is a remark for people), or by its usual name."""
-    name = files.text(key).split()[0] if files is not None and files.has(key) else default
+    name = files.text(key).split()[0] if files is not None and files.holds(key, str) else default
     path = scene_file.parent / name
     return path if path.is_file() else None
 

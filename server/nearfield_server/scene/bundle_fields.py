@@ -70,6 +70,10 @@ class Fields:
         """Whether the key is there and not null."""
         return self._values.get(key) is not None
 
+    def holds(self, key: str, kind: type) -> bool:
+        """Whether the key is there with a value of this kind that is not empty."""
+        return isinstance(self._values.get(key), kind) and bool(self._values[key])
+
     def names(self) -> Iterator[str]:
         """Keys of the object."""
         return iter(self._values)

@@ -235,19 +235,35 @@ def test_unseen_texels_repeat_the_nearest_of_their_surface(
     fill = find_unseen_fill(furnished_room, texels, table)
     seen = np.diff(table.pair_start) > 0
     np.testing.assert_array_equal(fill.texel, np.flatnonzero(~seen))
+    # Nothing in this room is black, so every unseen texel finds a seen one.
+    assert seen[fill.source].all()
     groups = face_groups(furnished_room)[texels.face]
-    filled = fill.source >= 0
-    assert seen[fill.source[filled]].all()
-    np.testing.assert_array_equal(groups[fill.source[filled]], groups[fill.texel[filled]])
-    # Unseen under the table: the floor borrows from the floor, the underside (nobody sees it) stays dark.
-    underside = np.abs(texels.position[fill.texel, 1] - 0.66) < 1e-3
-    assert (fill.source[underside] == -1).all()
-    assert filled[np.abs(texels.position[fill.texel, 1]) < 1e-6].all()
-    for index in np.flatnonzero(filled)[::37]:
+    has_seen = np.isin(groups[fill.texel], groups[seen])
+    np.testing.assert_array_equal(groups[fill.source[has_seen]], groups[fill.texel[has_seen]])
+    for index in np.flatnonzero(has_seen)[::37]:
         same = np.flatnonzero(seen & (groups == groups[fill.texel[index]]))
         distances = np.linalg.norm(texels.position[same] - texels.position[fill.texel[index]], axis=1)
         chosen = np.linalg.norm(texels.position[fill.source[index]] - texels.position[fill.texel[index]])
         assert chosen == pytest.approx(distances.min(), abs=1e-6)
+    # Nobody sees the underside of the table: it borrows from other surfaces.
+    underside = np.abs(texels.position[fill.texel, 1] - 0.66) < 1e-3
+    assert underside.any()
+    assert not has_seen[underside].any()
+
+
+def test_unseen_black_surfaces_stay_dark_and_lamps_are_not_copied(
+    furnished_room: RoomMesh, texels: TexelGeometry, table: GatherTable
+) -> None:
+    # Table (1) and both lamps (2, 3) are black.
+    albedo = np.array([[0.5] * 3, [0.0] * 3, [0.0] * 3, [0.0] * 3])
+    mesh = replace(furnished_room, material_albedo=albedo)
+    fill = find_unseen_fill(mesh, texels, table)
+    material = mesh.face_material[texels.face]
+    underside = np.abs(texels.position[fill.texel, 1] - 0.66) < 1e-3
+    assert (fill.source[underside] == -1).all()
+    filled = fill.source >= 0
+    lends = material[fill.source[filled]] > 0
+    np.testing.assert_array_equal(material[fill.texel[filled]][lends], material[fill.source[filled]][lends])
 
 
 def test_camera_behind_a_surface_sees_nothing_of_it(furnished_room: RoomMesh, texels: TexelGeometry) -> None:
