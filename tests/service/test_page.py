@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 from tests.service.harness import PATIENCE_S, Service
+from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection, connect
 
 from nearfield_protocol.codec import (
@@ -190,3 +191,15 @@ def test_status_names_every_process(service: Service) -> None:
     service.wait("all statuses", lambda: set(_get_json(port, "/api/status")["processes"]) >= expected)
     with pytest.raises(urllib.error.HTTPError, match="404"):
         urllib.request.urlopen(f"http://127.0.0.1:{port}/assets/../pyproject.toml", timeout=60)
+
+
+def test_tablets_are_told_that_the_service_restarts(start_service: Callable[..., Service]) -> None:
+    service = start_service()
+    with Tablet(_port(service)) as tablet:
+        tablet.until("light", lambda: tablet.light)
+        service.process.send_signal(signal.SIGTERM)
+        with pytest.raises(ConnectionClosed) as closed:
+            tablet.until("the end", lambda: False)
+        assert closed.value.rcvd is not None
+        assert closed.value.rcvd.code == 1012
+    assert service.process.wait(timeout=PATIENCE_S) == 0
