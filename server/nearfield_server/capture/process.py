@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from nearfield_server.bus.backoff import Backoff
 from nearfield_server.bus.worker import Worker, run_worker
 from nearfield_server.capture.cameras import image_circle, make_source
-from nearfield_server.capture.frame_ring import COUNTER_NAMES, FrameRingWriter, FrameSignal, RingShape
+from nearfield_server.capture.frame_ring import COUNTER_NAMES, FrameRingWriter, RingShape
+from nearfield_server.capture.frame_signal import FrameSignal
 from nearfield_server.capture.ingest import ingest_frame
 from nearfield_server.capture.source import RawFrame, Source
 from nearfield_server.errors import AssetError, CaptureError

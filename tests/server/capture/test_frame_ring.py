@@ -21,10 +21,10 @@ from nearfield_server.capture.frame_ring import (
     PAGE,
     FrameRingReader,
     FrameRingWriter,
-    FrameSignal,
     RingShape,
     create_ring,
 )
+from nearfield_server.capture.frame_signal import FrameSignal
 from nearfield_server.errors import FrameRingError
 
 SHAPE = RingShape(6, 5, 3)

@@ -11,13 +11,8 @@ import numpy as np
 import pytest
 
 from nearfield_server.bus.backoff import Backoff
-from nearfield_server.capture.frame_ring import (
-    FrameRingReader,
-    FrameRingWriter,
-    FrameSignal,
-    RingShape,
-    create_ring,
-)
+from nearfield_server.capture.frame_ring import FrameRingReader, FrameRingWriter, RingShape, create_ring
+from nearfield_server.capture.frame_signal import FrameSignal
 from nearfield_server.capture.process import FramePump, capture_loop
 from nearfield_server.capture.source import RawFrame
 from nearfield_server.errors import CaptureError
