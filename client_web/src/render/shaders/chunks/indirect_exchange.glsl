@@ -56,5 +56,7 @@ vec3 exchangedIrradiance(int object, vec3 positionWorld, vec3 normalWorld) {
   // Column 9 onwards holds the irradiance of a surface of the object by its normal, kernel included.
   shBasis(-direction, y);
   vec3 bounced = objectRow(object, 24).rgb * 0.3183098861837907 * evaluateRadiance(object, 9, y);
+  // The part of the object that faces the surface is lit by that surface, which keeps only what the object leaves it.
+  bounced *= 1.0 - blocked * 0.3183098861837907 * max(0.0, dot(direction, n));
   return blocked * (bounced - hidden);
 }
