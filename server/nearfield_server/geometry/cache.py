@@ -27,7 +27,7 @@ from nearfield_server.scene.room_model import load_room_mesh
 
 _LOGGER = structlog.get_logger(__name__)
 # Raised whenever the meaning or the making of an artefact changes.
-_FORMAT = "6"
+_FORMAT = "7"
 Progress = Callable[[str, float], None]
 Geometry = tuple[RoomMesh, TexelGeometry, GatherTable, UnseenFill]
 _Record = TypeVar("_Record", RoomMesh, TexelGeometry, GatherTable, UnseenFill)

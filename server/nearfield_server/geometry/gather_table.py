@@ -46,6 +46,7 @@ BLACK_ALBEDO = 0.02
 _PIXEL_AREA = (np.arange(8) + 0.5) / 8 - 0.5
 # Metres that count as much as the distance between two unit normals of 1, and as an albedo difference of 1.
 _NORMAL_METRES, _ALBEDO_METRES = 0.3, 1.0
+_MAX_CANDIDATES = 40_000
 Progress = Callable[[str, float], None]
 
 
@@ -132,6 +133,8 @@ def find_unseen_fill(mesh: RoomMesh, texels: TexelGeometry, table: GatherTable) 
     albedo = mesh.material_albedo[mesh.face_material[texels.face]]
     reflects = albedo.max(axis=1) > BLACK_ALBEDO
     candidates = np.flatnonzero(seen & reflects)
+    # Texel order follows the surfaces, so every n-th texel is an even sample; a guess needs no more.
+    candidates = candidates[:: max(1, len(candidates) // _MAX_CANDIDATES)]
     left = np.flatnonzero((source < 0) & reflects[unseen])
     if len(candidates) and len(left):
         features = np.hstack([texels.position, _NORMAL_METRES * texels.normal, _ALBEDO_METRES * albedo])
