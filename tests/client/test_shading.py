@@ -151,7 +151,7 @@ def test_indirect_light_does_not_turn_with_the_object(harness: Any) -> None:
 
 
 def test_indirect_exchange_equals_the_closed_form(harness: Any) -> None:
-    """A field that is the same everywhere: albedo / pi * E_block * (L_object - L_hidden) on the floor under it."""
+    """A field that is the same everywhere: albedo / pi * E_block * (left * L_object - L_hidden) on the floor under it."""
     o = np.array([0.9, 0.5, 0.1, -0.2, 0.0, 0.1, -0.1, 0.05, 0.0], np.float16).astype(float)
     field = {"boxMin": [-0.5, -1.2, -0.5], "boxSize": [1.0, 1.6, 1.0], "coeffs": o.tolist()}
     albedo = 0.6
@@ -170,7 +170,9 @@ def test_indirect_exchange_equals_the_closed_form(harness: Any) -> None:
     direction = np.array([o[3], o[1], o[2]]) / np.linalg.norm(o[1:4])
     blocked = np.sum(kernel * o * _sh_basis(0, 1, 0))
     hidden = sh @ _sh_basis(*direction)
-    bounced = albedo / np.pi * np.sum(kernel * sh * _sh_basis(*-direction))
+    # What faces the floor is lit by a floor that keeps only what the object leaves it.
+    left = 1 - blocked / np.pi * max(0.0, direction[1])
+    bounced = left * albedo / np.pi * np.sum(kernel * sh * _sh_basis(*-direction))
     expected = 2.0 + 0.5 / np.pi * blocked * (bounced - hidden)
     picture = harness.picture()
     x = harness.floor_points(view)
