@@ -23,7 +23,7 @@ from scipy.sparse.csgraph import connected_components
 from nearfield_server.pipeline.blocks import BLOCK
 from nearfield_server.pipeline.probes import ProbeTracer
 from nearfield_server.radiometry.cube import cube_directions, cube_solid_angles
-from nearfield_server.records import RoomMesh, TexelGeometry
+from nearfield_server.records import RoomMesh, TexelGeometry, UnseenFill
 
 _RESOLUTION: Final = 24
 _RECEIVERS: Final = 7
@@ -32,13 +32,19 @@ _SOURCE_TEXELS: Final = 32
 _MIN_ALBEDO: Final = 0.05
 _MIN_COSINE: Final = 0.1
 _FRONTAL_POWER: Final = 4
+_MIN_DISTANCE: Final = 2.0
+"""Nearest receiver where there is a choice, in units of the hidden surface's size (square root of its area)."""
 _MIN_FACING: Final = 0.5
 """Length of the mean normal below which a surface is too curved to be one light."""
 _OFFSET: Final = 2e-3
 """Metres by which probes are lifted off their surface."""
-_ACCEPT_SHARE: Final = 0.3
-_KEEP_SHARE: Final = 0.2
-_MAX_SPREAD: Final = 0.35
+ACCEPT_SHARE: Final = 0.3
+"""Share of the light on its receivers that a surface must explain before it counts as a lamp."""
+KEEP_SHARE: Final = 0.2
+"""The same for a surface that shone in the last update."""
+MAX_SPREAD: Final = 0.35
+"""Median deviation of the radiance according to single receivers, relative to its median."""
+MIN_RECEIVERS: Final = _RECEIVERS // 2
 _WELD: Final = 1e-5
 
 
@@ -70,6 +76,29 @@ class HiddenLight:
     def num_groups(self) -> int:
         """G."""
         return int(self.form_factor.shape[1])
+
+
+def no_hidden_light() -> HiddenLight:
+    """A record without surfaces, receivers and rays."""
+    none = np.zeros(0, dtype=np.int32)
+    return HiddenLight(
+        texels=none,
+        group=none,
+        receiver=none,
+        group_rows=np.zeros(1, dtype=np.int64),
+        inverse_albedo=np.zeros((0, 3)),
+        form_factor=np.zeros((0, 0)),
+        ray_start=np.zeros(1, dtype=np.int64),
+        ray_texel=none,
+        ray_weight=np.zeros(0, dtype=np.float32),
+    )
+
+
+def texels_without_source(fill: UnseenFill, num_texels: int) -> NDArray[np.bool_]:
+    """(N,) texels that no camera sees and that have nothing to repeat: where hidden lamps are searched for."""
+    unseen = np.zeros(num_texels, dtype=np.bool_)
+    unseen[fill.texel[fill.source < 0]] = True
+    return unseen
 
 
 def find_hidden_light(
@@ -191,6 +220,11 @@ def _choose_receivers(
     # Shades and frames hide a lamp from the side: receivers in front of it tell more than those that only glimpse it.
     strength = facing**_FRONTAL_POWER * np.maximum(incoming, 0.0) / squared
     strength[incoming < _MIN_COSINE] = 0.0
+    # The inside of a fixture is too close: cameras glimpse only its rim, and its own reflections outshine the model.
+    # A large surface (a whole ceiling) has no others.
+    far = squared >= _MIN_DISTANCE**2 * texels.area[members].sum(dtype=np.float64)
+    if np.count_nonzero(strength[far]) >= _RECEIVERS:
+        strength[~far] = 0.0
     order = np.argsort(-strength)[: 4 * _RECEIVERS]
     order = order[strength[order] > 0.0]
     return np.asarray(candidates[order[:: max(1, order.size // _RECEIVERS)][:_RECEIVERS]], dtype=np.int64)
@@ -240,16 +274,36 @@ def estimate_hidden_radiance(
     Returns:
         (G, 3) float64 >= 0.
     """
-    measured = radiance[hidden.receiver].astype(np.float64) * hidden.inverse_albedo
-    visible = np.empty_like(measured)
+    visible = np.empty((hidden.receiver.size, 3))
     _visible_irradiance(hidden.ray_start, hidden.ray_texel, hidden.ray_weight, radiance, visible)
+    return explain_receivers(hidden, radiance[hidden.receiver], visible, shining)
+
+
+def explain_receivers(
+    hidden: HiddenLight,
+    receiver_radiance: NDArray[np.float32],
+    visible_irradiance: NDArray[np.floating[Any]],
+    shining: NDArray[np.bool_],
+) -> NDArray[np.float64]:
+    """The part of `estimate_hidden_radiance` that needs no atlas, only what the receivers show.
+
+    Args:
+        hidden: static data.
+        receiver_radiance: (R, 3) gathered radiance of the receivers.
+        visible_irradiance: (R, 3) irradiance on them from everything visible.
+        shining: as for `estimate_hidden_radiance`.
+
+    Returns:
+        (G, 3) float64 >= 0.
+    """
+    measured = receiver_radiance.astype(np.float64) * hidden.inverse_albedo
     return np.asarray(
         _explain(
             hidden.form_factor,
             hidden.group_rows,
             measured,
-            measured - visible,
-            np.where(shining, _KEEP_SHARE, _ACCEPT_SHARE),
+            measured - visible_irradiance,
+            np.where(shining, KEEP_SHARE, ACCEPT_SHARE),
         )
     )
 
@@ -273,7 +327,7 @@ def _evidence(
             grey[used] = (missing[row, 0] + missing[row, 1] + missing[row, 2]) / factor
             arriving[used] = factor / total
             used += 1
-    if used < _RECEIVERS // 2:
+    if used < MIN_RECEIVERS:
         return 0.0, np.inf
     for channel in range(3):
         radiance[channel] = max(np.median(samples[channel, :used]), 0.0)
@@ -308,7 +362,7 @@ def _explain(factors: Any, group_rows: Any, measured: Any, missing: Any, needed:
                     factors, surface, first, last, measured, missing, found[surface]
                 )
                 stale[surface] = False
-            believed = share[surface] >= needed[surface] and spread[surface] <= _MAX_SPREAD
+            believed = share[surface] >= needed[surface] and spread[surface] <= MAX_SPREAD
             if believed and (best < 0 or found[surface].sum() > found[best].sum()):
                 best = surface
         if best < 0:
