@@ -17,6 +17,8 @@ import gbufferObjectVertex from './shaders/gbuffer_object.vert?raw'
 import gbufferRoomFragment from './shaders/gbuffer_room.frag?raw'
 import gbufferRoomVertex from './shaders/gbuffer_room.vert?raw'
 import resolve from './shaders/resolve.frag?raw'
+import roomFragment from './shaders/room.frag?raw'
+import roomVertex from './shaders/room.vert?raw'
 import screen from './shaders/screen.vert?raw'
 import shade from './shaders/shade.frag?raw'
 import shadowMap from './shaders/shadow_map.vert?raw'
@@ -56,6 +58,7 @@ const screenPass = (fragment: string): { vertex: string; fragment: string } => (
 /** Vertex and fragment stage of every program. */
 export const SHADERS = {
   background: screenPass(background),
+  room: { vertex: roomVertex, fragment: roomFragment },
   gbufferRoom: { vertex: gbufferRoomVertex, fragment: resolveIncludes(gbufferRoomFragment) },
   gbufferObject: { vertex: gbufferObjectVertex, fragment: resolveIncludes(gbufferObjectFragment) },
   shadowMap: { vertex: shadowMap, fragment: depthOnly },

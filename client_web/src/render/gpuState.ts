@@ -9,6 +9,7 @@ import { CoveragePass } from './passes/coveragePass'
 import { DisplayPass } from './passes/displayPass'
 import { GbufferPass } from './passes/gbufferPass'
 import { ResolvePass } from './passes/resolvePass'
+import { RoomPass } from './passes/roomPass'
 import { ShadePass } from './passes/shadePass'
 import { ShadowPass } from './passes/shadowPass'
 import { TilePass } from './passes/tilePass'
@@ -43,6 +44,7 @@ export class GpuState {
   readonly #device: Device
   readonly #shadows = new Map<'live' | 'full', ShadowPass>()
   #sized: SizedTargets | null = null
+  #room: RoomPass | null = null
   #atlas: { texture: WebGLTexture; width: number; height: number } | null = null
 
   constructor(device: Device, assets: SceneAssets) {
@@ -88,6 +90,12 @@ export class GpuState {
     return this.#sized
   }
 
+  /** Made when first needed: cameras with pictures do without its memory. */
+  room(width: number, height: number): RoomPass {
+    this.#room ??= new RoomPass(this.#device.gl, width, height)
+    return this.#room
+  }
+
   get atlas(): WebGLTexture | null {
     return this.#atlas?.texture ?? null
   }
@@ -118,6 +126,8 @@ export class GpuState {
       part.dispose()
     }
     this.#sized = null
+    this.#room?.dispose()
+    this.#room = null
   }
 
   dispose(): void {

@@ -276,7 +276,9 @@ export class Renderer {
         gpu.background.run(targets.background, frame.camera.viewIndex, this.#weights),
       )
     } else {
-      runner.skip('background', 'the room is drawn from its atlas')
+      runner.run('room', ['size', 'camera', 'atlas'], ['background'], () =>
+        gpu.room(targets.width, targets.height).run(frame, gpu.meshes, gpu.atlas),
+      )
     }
     if (!this.#options.shadows) {
       runner.skip('shadow maps', 'switched off')
@@ -294,9 +296,8 @@ export class Renderer {
       gpu.valData.upload(packVals(this.#vals, this.#valCount, this.#maps.drawn))
       gpu.objectData.upload(packObjects(this.#objects, gpu.shade.slabStarts))
     })
-    const atlasKeys: Key[] = frame.camera.hasPicture ? [] : ['atlas']
-    runner.run('gbuffer', ['size', 'camera', 'object light', ...atlasKeys], ['gbuffer'], () =>
-      gpu.gbuffer.run(targets.gbuffer, frame, gpu.meshes, gpu.atlas),
+    runner.run('gbuffer', ['size', 'camera', 'object light'], ['gbuffer'], () =>
+      gpu.gbuffer.run(targets.gbuffer, frame, gpu.meshes),
     )
     if (this.#options.tiled && this.#mode === 'composite') {
       runner.run('tiles', ['gbuffer', 'light data'], ['tiles'], () =>
@@ -311,6 +312,9 @@ export class Renderer {
   #shade(frame: Frame, targets: SizedTargets): void {
     const runner = this.#runner
     const gpu = this.#gpu
+    const background = frame.camera.hasPicture
+      ? targets.background
+      : gpu.room(targets.width, targets.height).resolved
     runner.run(
       'shade',
       ['background', 'gbuffer', 'tiles', 'light data', 'shading options', 'quality'],
@@ -320,7 +324,7 @@ export class Renderer {
           targets.composite,
           frame,
           targets.gbuffer,
-          targets.background,
+          background,
           targets.tiles,
           this.#shadowPass(),
           this.#mode,
@@ -332,13 +336,7 @@ export class Renderer {
         targets.coverage.run(frame, gpu.meshes),
       )
       runner.run('resolve', ['composite', 'coverage', 'edges'], ['picture'], () =>
-        gpu.resolve.run(
-          targets.picture,
-          frame,
-          targets.composite,
-          targets.coverage.resolved,
-          targets.background,
-        ),
+        gpu.resolve.run(targets.picture, targets.composite, targets.coverage.resolved, background),
       )
     } else {
       runner.skip('coverage', 'switched off')

@@ -11,7 +11,7 @@ export interface CameraState {
   /** Column-major. */
   readonly worldFromCamera: Float32Array
   readonly clipFromWorld: Float32Array
-  /** The background is a picture; otherwise the G-buffer carries the room's radiance. */
+  /** The background is a picture; otherwise the room drawn from its atlas. */
   readonly hasPicture: boolean
 }
 

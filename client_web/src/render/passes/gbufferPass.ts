@@ -5,7 +5,7 @@ import type { SceneMeshes } from '../sceneMeshes'
 import { multiply4 } from '../vector'
 import type { Frame } from './frame'
 
-/** Room and virtual objects in one G-buffer: albedo + kind, normal, indirect radiance (or the room's radiance), depth. */
+/** Room and virtual objects in one G-buffer: albedo + kind, normal, indirect radiance of the objects, depth. */
 export class GbufferPass {
   readonly #gl: WebGL2RenderingContext
   readonly #room: Program
@@ -29,7 +29,7 @@ export class GbufferPass {
     )
   }
 
-  run(target: Target, frame: Frame, meshes: SceneMeshes, atlas: WebGLTexture | null): void {
+  run(target: Target, frame: Frame, meshes: SceneMeshes): void {
     const gl = this.#gl
     target.bind()
     gl.clearBufferfv(gl.COLOR, 0, [0, 0, 0, 0])
@@ -39,11 +39,7 @@ export class GbufferPass {
     gl.enable(gl.DEPTH_TEST)
     // Surfaces are one-sided: a free camera outside the room looks in.
     gl.enable(gl.CULL_FACE)
-    this.#room
-      .use()
-      .mat4('uClipFromWorld', frame.camera.clipFromWorld)
-      .textures({ uAtlas: { target: gl.TEXTURE_2D, texture: atlas } })
-      .int('uHasAtlas', atlas !== null && !frame.camera.hasPicture)
+    this.#room.use().mat4('uClipFromWorld', frame.camera.clipFromWorld)
     meshes.room.draw()
     gl.disable(gl.CULL_FACE)
     this.#object.use()

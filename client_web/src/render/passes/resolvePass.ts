@@ -2,7 +2,6 @@ import { drawScreen } from '../device'
 import { Program } from '../gl/program'
 import type { Target } from '../gl/targets'
 import { SHADERS } from '../glsl'
-import type { Frame } from './frame'
 
 /** Blends silhouettes by coverage, still linear. Inputs: composite, coverage, background. */
 export class ResolvePass {
@@ -14,16 +13,13 @@ export class ResolvePass {
     this.#program = new Program(gl, 'resolve', SHADERS.resolve)
   }
 
-  run(target: Target, frame: Frame, composite: Target, coverage: Target, background: Target): void {
+  run(target: Target, composite: Target, coverage: Target, background: Target): void {
     target.bind()
-    this.#program
-      .use()
-      .textures({
-        uComposite: composite.colour(),
-        uCoverageMap: coverage.colour(),
-        uBackground: background.colour(),
-      })
-      .int('uHasBackground', frame.camera.hasPicture)
+    this.#program.use().textures({
+      uComposite: composite.colour(),
+      uCoverageMap: coverage.colour(),
+      uBackground: background.colour(),
+    })
     drawScreen(this.#gl)
   }
 

@@ -73,7 +73,6 @@ export class ShadePass {
         uOcclusion1: field(1),
         uOcclusion2: field(2),
       })
-      .int('uBackgroundInGbuffer', !frame.camera.hasPicture)
       .int('uTiled', frame.options.tiled && mode === 'composite')
       .int('uNumVals', frame.valCount)
       .int('uNumObjects', frame.objects.length)

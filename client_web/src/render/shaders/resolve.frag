@@ -5,7 +5,6 @@ precision highp int;
 uniform highp sampler2D uComposite;
 uniform highp sampler2D uCoverageMap;
 uniform highp sampler2D uBackground;
-uniform bool uHasBackground;
 layout(location = 0) out vec4 oRadiance;
 
 void main() {
@@ -17,7 +16,7 @@ void main() {
     oRadiance = vec4(own.rgb, coverage);
     return;
   }
-  // Mean of the neighbours of the other kind; of real ones only their change against the background, where that is known.
+  // Mean of the neighbours of the other kind; of real ones only their change against the background.
   vec3 sum = vec3(0.0);
   float weight = 0.0;
   for (int y = -1; y <= 1; y++) {
@@ -26,14 +25,14 @@ void main() {
       vec4 value = texelFetch(uComposite, near, 0);
       if (abs(value.a - own.a) > 0.5) {
         float share = x == 0 || y == 0 ? 1.0 : 0.5;
-        bool change = uHasBackground && own.a > 0.5;
+        bool change = own.a > 0.5;
         sum += share * (change ? value.rgb - texelFetch(uBackground, near, 0).rgb : value.rgb);
         weight += share;
       }
     }
   }
   vec3 other = own.rgb;
-  if (own.a > 0.5 && uHasBackground) {
+  if (own.a > 0.5) {
     other = max(texelFetch(uBackground, at, 0).rgb + (weight > 0.0 ? sum / weight : vec3(0.0)), 0.0);
   } else if (weight > 0.0) {
     other = sum / weight;

@@ -14,8 +14,6 @@ precision highp sampler2DShadow;
 uniform highp sampler2D uIndirect;
 uniform highp sampler2D uBackground;
 uniform highp usampler2D uTileMask;
-// The room's radiance stands in uIndirect (free camera) instead of uBackground.
-uniform bool uBackgroundInGbuffer;
 uniform bool uTiled;
 uniform int uNumVals;
 uniform bool uShadows;
@@ -70,10 +68,9 @@ vec3 shadeWithVals(ivec2 at, Surface surface) {
 void main() {
   ivec2 at = ivec2(gl_FragCoord.xy);
   Surface surface = fetchSurface(at);
-  vec3 indirect = texelFetch(uIndirect, at, 0).rgb;
-  vec3 background = uBackgroundInGbuffer ? indirect : texelFetch(uBackground, at, 0).rgb;
+  vec3 background = texelFetch(uBackground, at, 0).rgb;
   if (surface.kind < 0) {
-    oRadiance = vec4(uBackgroundInGbuffer ? vec3(0.0) : background, 0.0);
+    oRadiance = vec4(background, 0.0);
     return;
   }
   vec3 fromVals = shadeWithVals(at, surface);
@@ -88,7 +85,7 @@ void main() {
   }
   vec3 radiance;
   if (surface.kind > 0) {
-    radiance = max(indirect + exchanged, 0.0) + fromVals;
+    radiance = max(texelFetch(uIndirect, at, 0).rgb + exchanged, 0.0) + fromVals;
   } else if (uMode == 0) {
     radiance = background - fromVals + exchanged;
   } else {
