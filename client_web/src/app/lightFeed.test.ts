@@ -21,12 +21,12 @@ function packet(sequence: number, red: number, timestampNs = 0n): LightPacket {
   }
 }
 
-function status(serverMs: number, lightAgeS: number, isStale = false) {
+function status(serverMs: number, lightAgeS: number, isStale = false, cameraAges: number[] = []) {
   return {
     sequence: 0,
     serverTimeNs: BigInt(serverMs) * 1_000_000n,
     lightAge: lightAgeS,
-    cameraAges: [],
+    cameraAges,
     isStale,
   }
 }
@@ -63,6 +63,16 @@ describe('LightFeed', () => {
     expect(feed.isStale(10_000)).toBe(false)
     feed.observeStatus(status(10_500, 0.04, true), 10_500)
     expect(feed.isStale(10_500)).toBe(true)
+  })
+
+  it('tells the age of the newest camera picture while heartbeats come, and counts on when they stop', () => {
+    const feed = new LightFeed(5000, { fadeMs: 0 })
+    feed.push(packet(1, 5, 0n), 100, 0)
+    feed.observeStatus(status(10_000, 0.9, false, [0.3, 0.02, Number.NaN, Number.POSITIVE_INFINITY]), 10_000)
+    expect(feed.ageMs(10_000)).toBeCloseTo(20, 6)
+    expect(feed.ageMs(11_000)).toBeCloseTo(20, 6)
+    expect(feed.ageMs(13_250)).toBeCloseTo(2020, 6)
+    expect(feed.isStale(17_000)).toBe(true)
   })
 
   it('counts updates and stops when none come', () => {

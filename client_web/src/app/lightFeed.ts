@@ -3,6 +3,9 @@ import type { LightPacket, Status } from '../protocol/codec'
 import { type LightFrame, LightState, type LightStateOptions } from '../state/lightState'
 import { ServerClock } from '../state/serverClock'
 
+/** A heartbeat comes every second at the latest; as long as they come, what they report goes on. */
+const HEARTBEAT_MS = 1250
+
 interface Waiter {
   readonly sequence: number
   readonly resolve: () => void
@@ -67,17 +70,20 @@ export class LightFeed {
 
   observeStatus(status: Status, nowMs: number): void {
     this.#clock.observe(status.serverTimeNs, nowMs)
-    this.#status = { ageMs: 1000 * status.lightAge, isStale: status.isStale, receivedMs: nowMs }
+    // The newest camera picture is behind the light also where the light did not change and no packet was sent.
+    const cameraAges = status.cameraAges.filter(Number.isFinite)
+    const age = cameraAges.length > 0 ? Math.min(...cameraAges) : status.lightAge
+    this.#status = { ageMs: 1000 * age, isStale: status.isStale, receivedMs: nowMs }
   }
 
-  /** Age of the light, ms, or null while it is not known. */
+  /** Age of the newest camera picture behind the light, ms, or null while it is not known. */
   ageMs(nowMs: number): number | null {
     const byPacket = this.#timestampNs === null ? null : this.#clock.ageMs(this.#timestampNs, nowMs)
     const byStatus =
       this.#status && Number.isFinite(this.#status.ageMs)
-        ? this.#status.ageMs + nowMs - this.#status.receivedMs
+        ? this.#status.ageMs + Math.max(0, nowMs - this.#status.receivedMs - HEARTBEAT_MS)
         : null
-    // The server may skip packets that would repeat the light; then its own word is the newer one.
+    // The server repeats light that stays the same only now and then; then its own word is the newer one.
     return byPacket !== null && byStatus !== null ? Math.min(byPacket, byStatus) : (byPacket ?? byStatus)
   }
 

@@ -11,6 +11,8 @@ export interface RendererSettings {
   shadows: boolean
   indirectOcclusion: boolean
   showVals: boolean
+  /** Marked on the screen; -1 = none. */
+  selectedObject: number
   antiAliasing: boolean
   fullQuality: boolean
 }

@@ -51,6 +51,7 @@ async function start(shell: Shell, platform: Platform, options: ViewerOptions): 
     shadows: true,
     indirectOcclusion: true,
     showVals: false,
+    selectedObject: -1,
     antiAliasing: true,
     fullQuality: options.evaluate,
   }

@@ -96,7 +96,11 @@ export class Viewer implements ShellActions {
         this.requestFrame()
       },
       poseToSend: (objectIndex, parts) => this.#outbox.setObjectPose(objectIndex, parts),
-      selected: (objectIndex) => this.#controls?.setSelectedObject(objectIndex),
+      selected: (objectIndex) => {
+        renderer.setOptions({ selectedObject: objectIndex })
+        this.#controls?.setSelectedObject(objectIndex)
+        this.requestFrame()
+      },
       isUnsettled: (objectIndex) => this.#outbox.isObjectUnsettled(objectIndex),
       pick: (xNdc, yNdc) => this.#pick(xNdc, yNdc),
       ray: (xNdc, yNdc) => this.camera.ray(xNdc, yNdc, this.#size.width / this.#size.height),

@@ -50,6 +50,7 @@ type Key =
 const OPTION_KEYS: Readonly<Record<keyof RendererOptions, Key>> = {
   exposure: 'display options',
   showVals: 'display options',
+  selectedObject: 'display options',
   softClip: 'display options',
   shadows: 'shading options',
   indirectOcclusion: 'shading options',

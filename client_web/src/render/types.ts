@@ -84,6 +84,8 @@ export interface RendererOptions {
   /** Indirect light between virtual objects and real surfaces. */
   indirectOcclusion: boolean
   showVals: boolean
+  /** Outlined on the screen, never in the composite; -1 = none. */
+  selectedObject: number
   antiAliasing: boolean
   /** Evaluation: all shadow maps in one frame, full meshes as casters, larger maps, more taps. */
   fullQuality: boolean
@@ -98,6 +100,7 @@ export const DEFAULT_OPTIONS: RendererOptions = {
   shadows: true,
   indirectOcclusion: true,
   showVals: false,
+  selectedObject: -1,
   antiAliasing: true,
   fullQuality: false,
   tiled: true,

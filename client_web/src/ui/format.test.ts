@@ -1,5 +1,14 @@
 import { describe, expect, it } from 'vitest'
-import { bytes, encodeSrgb, lampColour, milliseconds, perSecond, readableName, stops } from './format'
+import {
+  bytes,
+  encodeSrgb,
+  lampColour,
+  milliseconds,
+  perSecond,
+  readableName,
+  stops,
+  withAge,
+} from './format'
 
 describe('format', () => {
   it('shows the hue of a lamp, not its strength', () => {
@@ -13,6 +22,12 @@ describe('format', () => {
     expect(encodeSrgb(0)).toBe(0)
     expect(encodeSrgb(1)).toBeCloseTo(1, 12)
     expect(encodeSrgb(0.0031308)).toBeCloseTo(encodeSrgb(0.0031309), 5)
+  })
+
+  it('tells the age only once it can be felt', () => {
+    expect(withAge('Live', null)).toBe('Live')
+    expect(withAge('Live', 499)).toBe('Live')
+    expect(withAge('Live', 620)).toBe('Live · 620 ms')
   })
 
   it('reads well', () => {

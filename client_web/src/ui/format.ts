@@ -22,6 +22,11 @@ export function milliseconds(value: number | null): string {
   return value < 10_000 ? `${Math.round(value)} ms` : `${(value / 1000).toFixed(0)} s`
 }
 
+/** Connection in a few words: the age counts only once it can be felt. */
+export function withAge(text: string, ageMs: number | null): string {
+  return ageMs === null || ageMs < 500 ? text : `${text} · ${milliseconds(ageMs)}`
+}
+
 export function bytes(value: number): string {
   return value < 10_000 ? `${value} B` : `${(value / 1000).toFixed(1)} kB`
 }

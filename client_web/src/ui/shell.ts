@@ -2,7 +2,7 @@
 import type { SceneDescription } from '../state/sceneDescription'
 import { type Segmented, segmented } from './controls'
 import { element, setText } from './dom'
-import { milliseconds } from './format'
+import { withAge } from './format'
 import { type InfoNumbers, type InfoPanel, infoPanel } from './infoPanel'
 import { type LampPanel, lampPanel } from './lampPanel'
 import { Overlay, Toasts } from './messages'
@@ -139,11 +139,10 @@ export class SceneControls {
     this.#picture.set(settings)
   }
 
-  /** The state of the connection at a glance; the age is shown only while the light is live. */
+  /** The state of the connection at a glance; the age is shown only while the light is live, and old enough to matter. */
   setConnection(tone: ConnectionTone, text: string, ageMs: number | null): void {
     this.#chip.dataset.tone = tone
-    const full = ageMs === null ? text : `${text} · ${milliseconds(ageMs)}`
-    setText(this.#chipText, full)
+    setText(this.#chipText, withAge(text, ageMs))
   }
 
   setInfo(numbers: InfoNumbers): void {

@@ -54,7 +54,7 @@ export const strings = {
   connection: {
     connecting: 'Connecting',
     live: 'Live',
-    stale: 'Light is old',
+    stale: 'Light is stale',
     reconnecting: 'Reconnecting',
     retryIn: (seconds: number) => `Reconnecting in ${seconds} s`,
     closed: 'Disconnected',

@@ -8,7 +8,10 @@ import type { Frame } from './frame'
 /** Vertices of one marker: 24 triangles of the disc, one for the normal. */
 const MARKER_VERTICES = 75
 
-/** Exposure and transfer function to the canvas; markers of the VALs on top. Inputs: resolved picture, exposure. */
+/** Width of the outline around the selected object, as a share of the picture's height: 1 / this. */
+const OUTLINE_SHARE = 300
+
+/** Exposure and transfer function to the canvas; the selected object's outline and markers of the VALs on top. Inputs: resolved picture, exposure. */
 export class DisplayPass {
   readonly #gl: WebGL2RenderingContext
   readonly #display: Program
@@ -26,9 +29,11 @@ export class DisplayPass {
     gl.viewport(0, 0, picture.width, picture.height)
     this.#display
       .use()
-      .textures({ uComposite: picture.colour() })
+      .textures({ uComposite: picture.colour(), uAlbedo: gbuffer.colour(0) })
       .float('uExposure', frame.options.exposure)
       .int('uSoftClip', frame.options.softClip)
+      .int('uSelectedKind', frame.options.selectedObject + 1)
+      .float('uOutlineWidth', Math.max(1.5, picture.height / OUTLINE_SHARE))
     drawScreen(gl)
     if (!frame.options.showVals || frame.valCount === 0) return
     gl.enable(gl.BLEND)

@@ -1,10 +1,15 @@
 #version 300 es
 precision highp float;
 precision highp int;
-// Exposure and sRGB transfer function (IEC 61966-2-1).
+// Exposure and sRGB transfer function (IEC 61966-2-1), and an outline around the selected object.
 uniform highp sampler2D uComposite;
 uniform float uExposure;
 uniform bool uSoftClip;
+// Kind of a fragment stands in alpha: 1 + index of its virtual object.
+uniform highp sampler2D uAlbedo;
+// 0 = nothing is selected.
+uniform int uSelectedKind;
+uniform float uOutlineWidth;
 layout(location = 0) out vec4 oDisplay;
 
 // Identity up to 0.8, then bends towards 1 with a continuous slope, so bright lamps keep some shape.
@@ -13,10 +18,36 @@ vec3 softClip(vec3 v) {
   return min(v, 0.8) + 0.2 * (1.0 - exp(-over / 0.2));
 }
 
+bool isSelected(ivec2 at) {
+  ivec2 last = textureSize(uAlbedo, 0) - 1;
+  return int(texelFetch(uAlbedo, clamp(at, ivec2(0), last), 0).a + 0.5) == uSelectedKind;
+}
+
+// Share of the outline in a fragment: full beside the object, fading over the last fragment of its width.
+float outline(ivec2 at) {
+  if (isSelected(at)) {
+    return 0.0;
+  }
+  int reach = int(ceil(uOutlineWidth));
+  float nearest = uOutlineWidth + 1.0;
+  for (int y = -reach; y <= reach; y++) {
+    for (int x = -reach; x <= reach; x++) {
+      if (isSelected(at + ivec2(x, y))) {
+        nearest = min(nearest, length(vec2(x, y)));
+      }
+    }
+  }
+  return clamp(uOutlineWidth + 1.0 - nearest, 0.0, 1.0);
+}
+
 void main() {
   vec3 v = texelFetch(uComposite, ivec2(gl_FragCoord.xy), 0).rgb * uExposure;
   v = clamp(uSoftClip ? softClip(v) : v, 0.0, 1.0);
   vec3 low = 12.92 * v;
   vec3 high = 1.055 * pow(v, vec3(1.0 / 2.4)) - 0.055;
-  oDisplay = vec4(mix(high, low, vec3(lessThanEqual(v, vec3(0.0031308)))), 1.0);
+  vec3 encoded = mix(high, low, vec3(lessThanEqual(v, vec3(0.0031308))));
+  if (uSelectedKind > 0) {
+    encoded = mix(encoded, vec3(1.0), 0.75 * outline(ivec2(gl_FragCoord.xy)));
+  }
+  oDisplay = vec4(encoded, 1.0);
 }

@@ -71,7 +71,7 @@ float receiverDepth(Receiver receiver, Val val, vec2 slope) {
   return 1.0 - uShadowNear / max(meeting - bias, uShadowNear);
 }
 
-// Atlas coordinate; z < 0.5 when the slope lies outside the tile.
+// Atlas coordinate, clamped to the tile; z < 0.5 when the slope lies outside the tile.
 vec3 atlasPlace(Receiver receiver, Val val, vec2 slope) {
   vec2 place = slope * val.scale + val.offset;
   bool inside = all(greaterThanEqual(place, vec2(0.0))) && all(lessThanEqual(place, vec2(1.0)));
@@ -80,8 +80,9 @@ vec3 atlasPlace(Receiver receiver, Val val, vec2 slope) {
   return vec3((receiver.tileOrigin + kept) / uShadowLayout.x, inside ? 1.0 : 0.0);
 }
 
-// Mean depth of what hides the disc, or a negative number when nothing does.
-float meanBlockerDepth(sampler2D depths, Receiver receiver, Val val, float nearest) {
+// Mean depth of what hides the disc, or a negative number when nothing does. `beyond`: what lies outside the window goes on as at its
+// border (the room), or is empty (virtual objects, which the window holds whole).
+float meanBlockerDepth(sampler2D depths, Receiver receiver, Val val, float nearest, bool beyond) {
   vec2 slope = receiver.position.xy / receiver.position.z;
   float inverse = 1.0 / receiver.position.z;
   float reach = max(1.0 / nearest - inverse, 0.0);
@@ -97,14 +98,14 @@ float meanBlockerDepth(sampler2D depths, Receiver receiver, Val val, float neare
     float depth = textureLod(depths, place.xy, 0.0).r;
     // A blocker counts only if it stands between the receiver and a point of the disc.
     float own = (1.0 - depth) / uShadowNear - inverse;
-    bool blocks = place.z > 0.5 && depth < receiverDepth(receiver, val, tap) && own * 1.05 + 0.1 * texelSlope >= length(unit) * reach;
+    bool blocks = (beyond || place.z > 0.5) && depth < receiverDepth(receiver, val, tap) && own * 1.05 + 0.1 * texelSlope >= length(unit) * reach;
     sum += blocks ? share * depth : 0.0;
     count += blocks ? share : 0.0;
   }
   return count > 0.0 ? sum / count : -1.0;
 }
 
-float filteredVisibility(sampler2DShadow compared, Receiver receiver, Val val, float blockerDepth) {
+float filteredVisibility(sampler2DShadow compared, Receiver receiver, Val val, float blockerDepth, bool beyond) {
   vec2 slope = receiver.position.xy / receiver.position.z;
   // Depth is linear in 1/z, so the penumbra w = D (z_r - z_b) / (z_r z_b) in slopes is D times a difference of depths.
   float spread = max((1.0 - blockerDepth) / uShadowNear - 1.0 / receiver.position.z, 0.0);
@@ -113,7 +114,7 @@ float filteredVisibility(sampler2DShadow compared, Receiver receiver, Val val, f
     vec2 tap = slope + receiver.disc * vogelPoint(i, uFilterTaps, receiver.turn) * spread;
     vec3 place = atlasPlace(receiver, val, tap);
     float lit = textureLod(compared, vec3(place.xy, receiverDepth(receiver, val, tap)), 0.0);
-    seen += place.z > 0.5 ? lit : 1.0;
+    seen += beyond || place.z > 0.5 ? lit : 1.0;
   }
   return seen / float(uFilterTaps);
 }
@@ -123,8 +124,8 @@ float virtualVisibility(Receiver receiver, Val val) {
     return 1.0;
   }
   float nearest = min(val.nearestCaster, receiver.position.z);
-  float blocker = meanBlockerDepth(uVirtualDepth, receiver, val, nearest);
-  return blocker < 0.0 ? 1.0 : filteredVisibility(uVirtualCompare, receiver, val, blocker);
+  float blocker = meanBlockerDepth(uVirtualDepth, receiver, val, nearest, false);
+  return blocker < 0.0 ? 1.0 : filteredVisibility(uVirtualCompare, receiver, val, blocker, false);
 }
 
 float roomVisibility(Receiver receiver, Val val) {
@@ -132,6 +133,6 @@ float roomVisibility(Receiver receiver, Val val) {
     return 1.0;
   }
   // Real blockers may stand anywhere; a search wider than three discs would miss the small ones between its taps.
-  float blocker = meanBlockerDepth(uRoomDepth, receiver, val, 0.25 * receiver.position.z);
-  return blocker < 0.0 ? 1.0 : filteredVisibility(uRoomCompare, receiver, val, blocker);
+  float blocker = meanBlockerDepth(uRoomDepth, receiver, val, 0.25 * receiver.position.z, true);
+  return blocker < 0.0 ? 1.0 : filteredVisibility(uRoomCompare, receiver, val, blocker, true);
 }
