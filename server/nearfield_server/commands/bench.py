@@ -24,8 +24,9 @@ from rich.console import Console
 from rich.table import Table
 
 from nearfield_server.errors import AssetError
+from nearfield_server.pipeline.hidden_light import HiddenLight
 from nearfield_server.pipeline.probes import ProbeTracer
-from nearfield_server.pipeline.runner import STAGES, BackendName, LightPipeline, UnseenFillLike
+from nearfield_server.pipeline.runner import STAGES, BackendName, LightPipeline
 from nearfield_server.records import (
     CameraFrame,
     GatherTable,
@@ -34,6 +35,7 @@ from nearfield_server.records import (
     ObjectPose,
     RoomMesh,
     TexelGeometry,
+    UnseenFill,
 )
 from nearfield_server.reference.box_room import lamp_field, make_box_room
 
@@ -56,7 +58,8 @@ class Scenario:
     probes: ProbeTracer
     pictures: tuple[NDArray[np.float16], ...]
     objects: tuple[ObjectPose, ...]
-    unseen_fill: UnseenFillLike | None = None
+    unseen_fill: UnseenFill | None = None
+    hidden_light: HiddenLight | None = None
 
 
 def bench(
@@ -140,6 +143,7 @@ def _make(scenario: Scenario, settings: LightSettings, backend: BackendName) -> 
         probe_rays=scenario.probes,
         backend=backend,
         unseen_fill=scenario.unseen_fill,
+        hidden_light=scenario.hidden_light,
     )
 
 
@@ -302,13 +306,12 @@ def _bundle_scenario(folder: Path) -> Scenario:
     from nearfield_server.evaluation.light_run import camera_frames
     from nearfield_server.geometry.cache import load_or_build
     from nearfield_server.geometry.probes import ProbeRays
-    from nearfield_server.illumination.process import usable_fill
     from nearfield_server.scene.bundle import load_bundle
     from nearfield_server.scene.room_config import room_from_bundle
 
     bundle = load_bundle(folder)
     room = room_from_bundle(bundle)
-    mesh, texels, table, fill = load_or_build(room)
+    mesh, texels, table, fill, hidden = load_or_build(room)
     frames, _ = camera_frames(bundle, np.ones(len(room.lights)))
     return Scenario(
         name=room.name,
@@ -318,5 +321,6 @@ def _bundle_scenario(folder: Path) -> Scenario:
         probes=ProbeRays(mesh, texels),
         pictures=tuple(frame.pixels for frame in frames),
         objects=_objects(mesh.positions.min(axis=0), mesh.positions.max(axis=0)),
-        unseen_fill=usable_fill(fill),
+        unseen_fill=fill,
+        hidden_light=hidden,
     )

@@ -16,7 +16,7 @@ from nearfield_server.errors import AssetError
 from nearfield_server.evaluation.irradiance import PlacedObject
 from nearfield_server.geometry.probes import ProbeRays
 from nearfield_server.illumination.packet import PacketWriter
-from nearfield_server.illumination.process import usable_fill
+from nearfield_server.pipeline.hidden_light import HiddenLight
 from nearfield_server.pipeline.runner import LightPipeline
 from nearfield_server.records import (
     CameraFrame,
@@ -97,6 +97,7 @@ def run_light(
     texels: TexelGeometry,
     table: GatherTable,
     fill: UnseenFill,
+    hidden: HiddenLight | None,
     frames: Sequence[CameraFrame],
     objects: Sequence[PlacedObject],
     settings: LightSettings,
@@ -109,13 +110,20 @@ def run_light(
         texels: its texels.
         table: gather table of the cameras.
         fill: stand-ins for texels that no camera sees.
+        hidden: surfaces that no camera sees, which may be lamps.
         frames: one per camera.
         objects: in packet order.
         settings: of the light extraction.
         clean_counts: from `camera_frames`, handed through.
     """
     pipeline = LightPipeline(
-        mesh, texels, table, settings, probe_rays=ProbeRays(mesh, texels), unseen_fill=usable_fill(fill)
+        mesh,
+        texels,
+        table,
+        settings,
+        probe_rays=ProbeRays(mesh, texels),
+        unseen_fill=fill,
+        hidden_light=hidden,
     )
     still, walls = _poses(objects, 0), []
     stages: list[StageReport] = []

@@ -7,6 +7,7 @@ leads to another name. Files are written under a temporary name and renamed, so 
 from __future__ import annotations
 
 import hashlib
+import inspect
 import os
 import tempfile
 import zipfile
@@ -20,7 +21,15 @@ import structlog
 
 from nearfield_server.errors import AssetError
 from nearfield_server.geometry.gather_table import build_gather_table, find_unseen_fill
+from nearfield_server.geometry.probes import ProbeRays
 from nearfield_server.geometry.texels import rasterise_texels
+from nearfield_server.pipeline import hidden_light
+from nearfield_server.pipeline.hidden_light import (
+    HiddenLight,
+    find_hidden_light,
+    no_hidden_light,
+    texels_without_source,
+)
 from nearfield_server.records import GatherTable, RoomMesh, TexelGeometry, UnseenFill
 from nearfield_server.scene.room_config import RoomConfig
 from nearfield_server.scene.room_model import load_room_mesh
@@ -29,8 +38,8 @@ _LOGGER = structlog.get_logger(__name__)
 # Raised whenever the meaning or the making of an artefact changes.
 _FORMAT = "7"
 Progress = Callable[[str, float], None]
-Geometry = tuple[RoomMesh, TexelGeometry, GatherTable, UnseenFill]
-_Record = TypeVar("_Record", RoomMesh, TexelGeometry, GatherTable, UnseenFill)
+Geometry = tuple[RoomMesh, TexelGeometry, GatherTable, UnseenFill, HiddenLight | None]
+_Record = TypeVar("_Record", RoomMesh, TexelGeometry, GatherTable, UnseenFill, HiddenLight)
 
 
 def default_cache_dir() -> Path:
@@ -49,7 +58,9 @@ def load_or_build(
     progress: Progress | None = None,
     rasteriser: str = "cpu",
 ) -> Geometry:
-    """Mesh, texels, gather table and fill list of a room, from the cache where it holds them.
+    """Mesh, texels, gather table, fill list and hidden surfaces of a room, from the cache where it holds them.
+
+    The hidden surfaces are None where every surface that no camera sees has something to repeat, or lights nothing.
 
     Args:
         room: room configuration.
@@ -76,13 +87,25 @@ def load_or_build(
     table, fill = _load(table_file, GatherTable), _load(fill_file, UnseenFill)
     if table is None or fill is None:
         table = build_gather_table(
-            mesh, texels, room.cameras, progress=lambda text, part: report(text, 0.2 + 0.75 * part)
+            mesh, texels, room.cameras, progress=lambda text, part: report(text, 0.2 + 0.6 * part)
         )
         fill = find_unseen_fill(mesh, texels, table)
         _save(table_file, table)
         _save(fill_file, fill)
+    report("hidden surfaces", 0.8)
+    # Which receivers to trust is a matter of judgement: any change of that code leads to another name without a new format.
+    key.update(fill.texel.tobytes() + fill.source.tobytes() + inspect.getsource(hidden_light).encode())
+    hidden_file = folder / f"hidden-{key.hexdigest()[:32]}.npz"
+    hidden = _load(hidden_file, HiddenLight) or _save(hidden_file, _find_hidden(mesh, texels, fill))
     report("geometry is ready", 1.0)
-    return mesh, texels, table, fill
+    return mesh, texels, table, fill, hidden if hidden.num_groups else None
+
+
+def _find_hidden(mesh: RoomMesh, texels: TexelGeometry, fill: UnseenFill) -> HiddenLight:
+    """Hidden surfaces; a record without groups where there are none, so that this too is remembered."""
+    unseen = texels_without_source(fill, texels.area.size)
+    found = find_hidden_light(mesh, texels, unseen, ProbeRays(mesh, texels)) if unseen.any() else None
+    return found if found is not None else no_hidden_light()
 
 
 def load_or_build_texels(

@@ -1,9 +1,9 @@
 """The light stages as GLSL compute shaders (OpenGL 4.3), for machines with a real GPU.
 
 Everything that scales with the atlas runs on the device; what comes back is a few kilobytes per stage: block sums, sampled
-texels, cluster sums, coefficients. Partial sums are float32 per work group and added in float64 here. The k-means on the few
-thousand samples stays on the processor: it is one millisecond there, and its slots and generations are bookkeeping, not
-arithmetic.
+texels, cluster sums, coefficients, what the receivers of hidden lamps show. Partial sums are float32 per work group and added
+in float64 here. The k-means on the few thousand samples stays on the processor: it is one millisecond there, and its slots and
+generations are bookkeeping, not arithmetic.
 
 Same results as `pipeline.backend.CpuBackend` and `reference`, up to float32 sums (tested on llvmpipe).
 """
@@ -18,6 +18,8 @@ from numpy.typing import NDArray
 
 from nearfield_server.errors import GraphicsError
 from nearfield_server.gpu.context import GlContext, open_context
+from nearfield_server.gpu.hidden_lamps import SHADERS as HIDDEN_SHADERS
+from nearfield_server.gpu.hidden_lamps import HiddenLamps
 from nearfield_server.gpu.programs import load_compute
 from nearfield_server.pipeline.auto_split import auto_threshold
 from nearfield_server.pipeline.blocks import NORMAL_SCALE, cluster_features, make_blocks
@@ -44,6 +46,7 @@ _SHADERS: Final = (
     "pick",
     "integrate",
     "project_sh",
+    *HIDDEN_SHADERS,
 )
 _MAX_CAMERAS: Final = 16
 _PIXEL_BYTES: Final = 8
@@ -104,6 +107,7 @@ class GlBackend:
         fill = np.stack([setup.fill_texels, setup.fill_sources], axis=1).astype(np.uint32)
         self._fill = upload(fill if self._num_fill else np.zeros((1, 2), dtype=np.uint32))
         self._radiance = upload(np.zeros((self._num_texels, 3), dtype=np.float32))
+        self._hidden = None if setup.hidden is None else HiddenLamps(context, setup.hidden)
         sizes = [height * width for height, width in self._camera_shapes]
         self._camera_first = np.concatenate([[0], np.cumsum(sizes)])[: len(sizes)].astype(np.int64)
         self._pixels = context.reserve_buffer(max(1, sum(sizes)) * _PIXEL_BYTES)
@@ -141,6 +145,8 @@ class GlBackend:
         if self._num_fill:
             groups = -(-self._num_fill // 64)
             self._run("fill", groups, [self._fill, self._radiance], uNumFill=self._num_fill)
+        if self._hidden is not None:
+            self._hidden.update(self._radiance, self._run)
 
     def split(self) -> NDArray[np.float32]:
         """See `StageBackend`."""

@@ -24,27 +24,13 @@ from nearfield_server.illumination.atlas_channel import AtlasChannel, build_down
 from nearfield_server.illumination.frames import STALE_AFTER_S, FrameCollector, camera_report
 from nearfield_server.illumination.packet import PacketWriter
 from nearfield_server.pipeline.runner import LightPipeline
-from nearfield_server.records import LightUpdate, ObjectPose, RoomMesh, TexelGeometry, UnseenFill
+from nearfield_server.records import LightUpdate, ObjectPose, RoomMesh, TexelGeometry
 from nearfield_server.scene.model_source import load_source_model
 from nearfield_server.scene.room_config import RoomConfig, load_room
 
 REPEAT_PERIOD_S = 1.0
 ATLAS_PERIOD_S = 0.1
 _WAIT_S = 0.1
-
-
-@dataclass(frozen=True, slots=True)
-class _Fill:
-    """Unseen texels that have a seen neighbour, under the names of `pipeline.runner.UnseenFillLike`."""
-
-    texels: NDArray[np.int32]
-    source: NDArray[np.int32]
-
-
-def usable_fill(fill: UnseenFill) -> _Fill:
-    """Leave out the texels of surfaces that no camera sees at all: they stay black."""
-    usable = fill.source >= 0
-    return _Fill(texels=fill.texel[usable], source=fill.source[usable])
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,7 +165,7 @@ def build_pipeline(
     Raises:
         AssetError, ConfigError, GraphicsError: room model, settings or backend are unusable.
     """
-    mesh, texels, table, fill = load_or_build(
+    mesh, texels, table, fill, hidden = load_or_build(
         room, progress=lambda text, part: worker.beat("starting", preparing=text, prepared=round(part, 3))
     )
     changes = {name: options[name] for name in ("num_vals", "split_ratio") if options.get(name) is not None}
@@ -190,7 +176,8 @@ def build_pipeline(
         replace(room.light, **changes),
         probe_rays=ProbeRays(mesh, texels),
         backend=options.get("backend", "auto"),
-        unseen_fill=usable_fill(fill),
+        unseen_fill=fill,
+        hidden_light=hidden,
     )
     return pipeline, mesh, texels
 

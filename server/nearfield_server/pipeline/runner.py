@@ -9,7 +9,7 @@ import importlib
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Final, Literal, Protocol, TypeVar
+from typing import Final, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,7 @@ from nearfield_protocol.codec import VAL_DTYPE
 from nearfield_server.errors import ConfigError, GraphicsError
 from nearfield_server.pipeline.backend import BackendSetup, CpuBackend, StageBackend
 from nearfield_server.pipeline.clustering import ClusterState, empty_state, update_clusters
-from nearfield_server.pipeline.hidden_light import HiddenLight, find_hidden_light
+from nearfield_server.pipeline.hidden_light import HiddenLight
 from nearfield_server.pipeline.integration import ValSums
 from nearfield_server.pipeline.probes import ProbeTracer
 from nearfield_server.records import (
@@ -30,6 +30,7 @@ from nearfield_server.records import (
     RoomMesh,
     StageReport,
     TexelGeometry,
+    UnseenFill,
 )
 
 BackendName = Literal["auto", "cpu", "gl", "reference"]
@@ -44,18 +45,6 @@ _MAX_VALS: Final = 64
 _T = TypeVar("_T")
 
 
-class UnseenFillLike(Protocol):
-    """Texels that no camera sees, and the texels whose radiance they repeat."""
-
-    @property
-    def texels(self) -> NDArray[np.int32]:
-        """(U,) positions in texel order."""
-
-    @property
-    def source(self) -> NDArray[np.int32]:
-        """(U,) positions in texel order."""
-
-
 class LightPipeline:
     """Camera pictures in, virtual area lights and SH out. Use it from one thread."""
 
@@ -68,7 +57,8 @@ class LightPipeline:
         *,
         probe_rays: ProbeTracer,
         backend: BackendName = "auto",
-        unseen_fill: UnseenFillLike | None = None,
+        unseen_fill: UnseenFill | None = None,
+        hidden_light: HiddenLight | None = None,
         wall_clock: Clock = time.perf_counter,
         cpu_clock: Clock = time.process_time,
     ) -> None:
@@ -82,9 +72,10 @@ class LightPipeline:
             probe_rays: finds what a probe sees.
             backend: "cpu" (numba), "gl" (a real GPU), "reference" (float64, slow), or "auto": "gl" on a hardware
                 renderer, else "cpu".
-            unseen_fill: texels that no camera sees but whose surface one sees, and what they repeat. When given, the
-                remaining unseen surfaces are searched for hidden lamps (`hidden_light`), which takes about two seconds
-                here for a furnished room.
+            unseen_fill: what texels that no camera sees repeat; they stay black where there is no source, or without it.
+            hidden_light: surfaces that no camera sees any part of, which may be lamps (`hidden_light.find_hidden_light`,
+                which takes seconds for a furnished room; `geometry.cache.load_or_build` keeps it). They stay black
+                without it.
             wall_clock: seconds.
             cpu_clock: seconds of all threads of the process.
 
@@ -93,21 +84,15 @@ class LightPipeline:
             GraphicsError: `backend="gl"` and there is no OpenGL context.
         """
         _check_inputs(texels, table, settings)
-        none = np.zeros(0, dtype=np.int32)
+        fill_texels, fill_sources = _usable_fill(unseen_fill)
         setup = BackendSetup(
             mesh=mesh,
             texels=texels,
             table=table,
             settings=settings,
-            fill_texels=none
-            if unseen_fill is None
-            else np.ascontiguousarray(unseen_fill.texels, dtype=np.int32),
-            fill_sources=none
-            if unseen_fill is None
-            else np.ascontiguousarray(unseen_fill.source, dtype=np.int32),
-            hidden=None
-            if unseen_fill is None
-            else _hidden_light(mesh, texels, table, unseen_fill, probe_rays),
+            fill_texels=fill_texels,
+            fill_sources=fill_sources,
+            hidden=hidden_light,
         )
         self._stages = _make_backend(backend, setup)
         self._settings = settings
@@ -314,16 +299,12 @@ def _check_inputs(texels: TexelGeometry, table: GatherTable, settings: LightSett
         )
 
 
-def _hidden_light(
-    mesh: RoomMesh,
-    texels: TexelGeometry,
-    table: GatherTable,
-    unseen_fill: UnseenFillLike,
-    probe_rays: ProbeTracer,
-) -> HiddenLight | None:
-    unseen = np.diff(table.pair_start) == 0
-    unseen[unseen_fill.texels] = False
-    return find_hidden_light(mesh, texels, unseen, probe_rays)
+def _usable_fill(fill: UnseenFill | None) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """Texels that repeat another, and those others; texels without a source are left out."""
+    if fill is None:
+        return np.zeros(0, dtype=np.int32), np.zeros(0, dtype=np.int32)
+    usable = fill.source >= 0
+    return fill.texel[usable].astype(np.int32), fill.source[usable].astype(np.int32)
 
 
 def _make_backend(name: BackendName, setup: BackendSetup) -> StageBackend:

@@ -126,6 +126,21 @@ def make_box_room(
     )
 
 
+def hide_texels(table: GatherTable, hidden: NDArray[np.bool_]) -> GatherTable:
+    """The gather table without the pairs of some (N,) texels, as if no camera saw them."""
+    count = np.diff(table.pair_start)
+    keep = ~np.repeat(hidden, count)
+    return GatherTable(
+        pair_start=np.concatenate([[0], np.cumsum(np.where(hidden, 0, count))]).astype(np.int64),
+        camera=table.camera[keep],
+        pixel=table.pixel[keep],
+        fraction_x=table.fraction_x[keep],
+        fraction_y=table.fraction_y[keep],
+        weight=table.weight[keep],
+        camera_shapes=table.camera_shapes,
+    )
+
+
 def lamp_field(
     room: BoxRoom,
     lamps: tuple[tuple[int, tuple[float, float], tuple[float, float], tuple[float, float, float]], ...],

@@ -16,6 +16,7 @@ from nearfield_server.pipeline.split import COARSE_BINS, fixed_point_scale
 from nearfield_server.radiometry.cube import cube_directions, cube_solid_angles
 from nearfield_server.radiometry.sh import project_samples
 from nearfield_server.records import GatherTable
+from nearfield_server.reference.hidden_light import estimate_hidden_radiance_reference
 
 
 def gather_reference(table: GatherTable, frames: Sequence[NDArray[np.float16] | None]) -> NDArray[np.float64]:
@@ -129,11 +130,17 @@ class ReferenceBackend:
         self._setup = setup
         self._radiance = np.zeros((setup.texels.area.shape[0], 3))
         self._threshold = np.full(3, np.inf, dtype=np.float32)
+        self._shining = np.zeros(0 if setup.hidden is None else setup.hidden.num_groups, dtype=np.bool_)
 
     def gather(self, frames: Sequence[NDArray[np.float16] | None]) -> None:
         """See `StageBackend`."""
         self._radiance = gather_reference(self._setup.table, frames)
         self._radiance[self._setup.fill_texels] = self._radiance[self._setup.fill_sources]
+        hidden = self._setup.hidden
+        if hidden is not None:
+            values = estimate_hidden_radiance_reference(hidden, self._radiance, self._shining)
+            self._shining = values.sum(axis=1) > 0.0
+            self._radiance[hidden.texels] = values[hidden.group]
 
     def split(self) -> NDArray[np.float32]:
         """See `StageBackend`."""

@@ -16,7 +16,16 @@ from nearfield_server.scene.room_model import export_room_glb
 
 @pytest.fixture
 def room(tmp_path: Path, furnished_room: RoomMesh, cameras: tuple[CameraModel, ...]) -> RoomConfig:
-    export_room_glb(furnished_room, tmp_path / "room.glb")
+    # The underside of the table is black: no camera sees it, and it may be a lamp.
+    material = furnished_room.face_material.copy()
+    material[22:24] = len(furnished_room.materials)
+    mesh = replace(
+        furnished_room,
+        face_material=material,
+        materials=(*furnished_room.materials, "lamp"),
+        material_albedo=np.concatenate([furnished_room.material_albedo, np.zeros((1, 3))]),
+    )
+    export_room_glb(mesh, tmp_path / "room.glb")
     return RoomConfig(
         name="test",
         folder=tmp_path,
@@ -33,7 +42,10 @@ def room(tmp_path: Path, furnished_room: RoomMesh, cameras: tuple[CameraModel, .
 
 
 def assert_equal(first: cache.Geometry, second: cache.Geometry) -> None:
+    assert first[-1] is not None
     for one, other in zip(first, second, strict=True):
+        assert one is not None
+        assert other is not None
         for field in fields(one):
             value, expected = getattr(one, field.name), getattr(other, field.name)
             if isinstance(expected, np.ndarray):
@@ -48,8 +60,8 @@ def test_second_start_reads_what_the_first_built(
     room: RoomConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     built = cache.load_or_build(room, cache_dir=tmp_path / "cache")
-    assert len(list((tmp_path / "cache").iterdir())) == 4
-    for name in ("load_room_mesh", "rasterise_texels", "build_gather_table"):
+    assert len(list((tmp_path / "cache").iterdir())) == 5
+    for name in ("load_room_mesh", "rasterise_texels", "build_gather_table", "find_hidden_light"):
         monkeypatch.delattr(cache, name)
     parts: list[float] = []
     assert_equal(
@@ -57,6 +69,26 @@ def test_second_start_reads_what_the_first_built(
         built,
     )
     assert parts[-1] == 1.0
+
+
+def test_that_nothing_is_hidden_is_remembered_too(
+    room: RoomConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    searches: list[int] = []
+    monkeypatch.setattr(cache, "find_hidden_light", lambda *_: searches.append(1))
+    for _ in range(2):
+        assert cache.load_or_build(room, cache_dir=tmp_path / "cache")[-1] is None
+    assert searches == [1]
+
+
+def test_another_search_for_hidden_surfaces_is_another_entry(
+    room: RoomConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cache.load_or_build(room, cache_dir=tmp_path / "cache")
+    monkeypatch.setattr(cache.inspect, "getsource", lambda _: "something else")
+    cache.load_or_build(room, cache_dir=tmp_path / "cache")
+    assert len(list((tmp_path / "cache").glob("hidden-*"))) == 2
+    assert len(list((tmp_path / "cache").iterdir())) == 6
 
 
 def test_anything_that_matters_changes_the_key(room: RoomConfig, tmp_path: Path) -> None:
@@ -67,9 +99,9 @@ def test_anything_that_matters_changes_the_key(room: RoomConfig, tmp_path: Path)
     moved = replace(room, cameras=(replace(room.cameras[0], world_from_camera=pose),))
     cache.load_or_build(moved, cache_dir=folder)
     # Mesh and texels do not depend on the cameras.
-    assert len(list(folder.iterdir())) == 6
+    assert len(list(folder.iterdir())) == 8
     cache.load_or_build(replace(room, atlas_size=256), cache_dir=folder)
-    assert len(list(folder.iterdir())) == 10
+    assert len(list(folder.iterdir())) == 13
 
 
 @pytest.mark.parametrize("damage", ["truncate", "empty", "garbage"])
@@ -81,7 +113,7 @@ def test_broken_entries_are_built_again(room: RoomConfig, tmp_path: Path, damage
         file.write_bytes({"truncate": data[: len(data) // 2], "empty": b"", "garbage": b"no archive"}[damage])
     with capture_logs() as logs:
         assert_equal(cache.load_or_build(room, cache_dir=folder), built)
-    assert len(logs) == 4
+    assert len(logs) == 5
     assert_equal(cache.load_or_build(room, cache_dir=folder), built)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,8 +12,11 @@ from numpy.typing import NDArray
 from nearfield_server.errors import GraphicsError
 from nearfield_server.gpu.light_stages import GlBackend, create_light_backend
 from nearfield_server.pipeline.backend import BackendSetup, CpuBackend
+from nearfield_server.pipeline.hidden_light import find_hidden_light
 from nearfield_server.records import GatherTable, LightSettings, RoomMesh, TexelGeometry
+from nearfield_server.reference.box_room import BoxRoom, make_box_room
 from nearfield_server.reference.light_stages import ReferenceBackend
+from nearfield_server.reference.radiosity import equilibrium_radiance, transport_matrix
 
 pytestmark = pytest.mark.gl
 
@@ -70,6 +74,21 @@ def make_setup(seed: int, split_ratio: float | None) -> BackendSetup:
         settings=LightSettings(num_vals=12, split_ratio=split_ratio, num_samples=512),
         fill_texels=unseen[: unseen.size // 2].astype(np.int32),
         fill_sources=rng.choice(seen, unseen.size // 2).astype(np.int32),
+    )
+
+
+def pixel_per_texel(unseen: NDArray[np.bool_], width: int) -> GatherTable:
+    """A picture that shows every seen texel in a pixel of its own, in texel order; last row and column stay empty."""
+    seen = np.flatnonzero(~unseen)
+    row, column = np.divmod(seen, width)
+    return GatherTable(
+        pair_start=np.concatenate([[0], np.cumsum(~unseen)]).astype(np.int64),
+        camera=np.zeros(seen.size, dtype=np.uint8),
+        pixel=(row * (width + 1) + column).astype(np.uint32),
+        fraction_x=np.zeros(seen.size, dtype=np.float32),
+        fraction_y=np.zeros(seen.size, dtype=np.float32),
+        weight=np.ones(seen.size, dtype=np.float32),
+        camera_shapes=((unseen.size // width + 1, width + 1),),
     )
 
 
@@ -183,3 +202,86 @@ def test_broken_pixels_do_not_spread(backends: tuple[GlBackend, CpuBackend, Refe
     radiance = gl.texel_radiance()
     assert np.all(np.isfinite(radiance))
     assert np.all(radiance >= 0.0)
+
+
+@pytest.fixture(scope="module")
+def room_with_hidden_lamps() -> tuple[BoxRoom, BackendSetup, NDArray[np.bool_], NDArray[np.bool_]]:
+    """A box room with two squares of the ceiling that no camera sees; the room, and the texels of both squares."""
+    room = make_box_room(atlas_size=60, num_cameras=1, camera_size=16)
+    position, on_ceiling = room.texels.position, room.texels.normal[:, 1] < -0.5
+    squares = [
+        on_ceiling & (np.abs(position[:, 0] - x) < 0.35) & (np.abs(position[:, 2] - 2.0) < 0.35)
+        for x in (1.5, 3.0)
+    ]
+    # One square has a material of its own, and so the two are not one surface.
+    mesh = room.mesh()
+    texels = replace(
+        room.texels, face=np.where(squares[1], mesh.faces.shape[0], room.texels.face).astype(np.int32)
+    )
+    mesh = replace(
+        mesh,
+        faces=np.concatenate([mesh.faces, mesh.faces[6:7]]),
+        face_material=np.append(mesh.face_material, np.int32(1)),
+        materials=("wall", "panel"),
+        material_albedo=np.full((2, 3), 0.5),
+    )
+    unseen = squares[0] | squares[1]
+    hidden = find_hidden_light(mesh, texels, unseen, room)
+    assert hidden is not None
+    assert hidden.num_groups == 2
+    none = np.zeros(0, dtype=np.int32)
+    setup = BackendSetup(
+        mesh=mesh,
+        texels=texels,
+        table=pixel_per_texel(unseen, room.resolution[0]),
+        settings=LightSettings(num_vals=12, num_samples=512),
+        fill_texels=none,
+        fill_sources=none,
+        hidden=hidden,
+    )
+    return room, setup, squares[0], squares[1]
+
+
+def test_hidden_lamps_shine_alike_on_all_backends(
+    room_with_hidden_lamps: tuple[BoxRoom, BackendSetup, NDArray[np.bool_], NDArray[np.bool_]],
+) -> None:
+    """The first square goes on, brighter, off; the second never shines. Bounced light is in equilibrium."""
+    room, setup, lamp, dark = room_with_hidden_lamps
+    area = room.texels.area.astype(np.float64)
+    transport = transport_matrix(room.texels)
+    seen_lamp = (room.texels.normal[:, 1] < -0.5) & (np.abs(room.texels.position[:, 0] - 4.8) < 0.35)
+    seen_lamp &= np.abs(room.texels.position[:, 2] - 2.0) < 0.35
+    albedo = np.where(seen_lamp | lamp, 0.0, 0.5)[:, None]
+    gl = create_light_backend(setup, allow_software=True)
+    backends = (gl, CpuBackend(setup), ReferenceBackend(setup))
+    try:
+        for colour in ((20.0, 18.0, 15.0), (90.0, 120.0, 150.0), (0.0, 0.0, 0.0)):
+            emitted = np.zeros((area.size, 3))
+            emitted[seen_lamp], emitted[lamp] = (20.0, 18.0, 15.0), colour
+            light = equilibrium_radiance(transport, emitted, albedo)
+
+            rows, columns = setup.table.camera_shapes[0]
+            picture = np.zeros((rows, columns, 4), dtype=np.float16)
+            picture[:-1, :-1, :3] = light.reshape(rows - 1, columns - 1, 3)
+            picture[:-1, :-1, 3] = 1.0
+            for backend in backends:
+                backend.gather([picture])
+            truth = backends[2].texel_radiance()
+            np.testing.assert_allclose(truth[lamp], np.tile(colour, (lamp.sum(), 1)), rtol=0.1)
+            assert not truth[dark].any()
+            for backend in backends[:2]:
+                np.testing.assert_allclose(backend.texel_radiance(), truth, rtol=2e-5, atol=1e-6)
+
+            thresholds = [backend.split() for backend in backends]
+            np.testing.assert_allclose(thresholds[0], thresholds[2], rtol=2e-4)
+            np.testing.assert_allclose(thresholds[1], thresholds[2], rtol=2e-4)
+            points = backends[2].sample()
+            sums = [backend.integrate(points[:12], np.ones(12, dtype=np.bool_)) for backend in backends]
+            for ours in sums:
+                np.testing.assert_allclose(
+                    ours.radiant_intensity.sum(axis=0),
+                    ((emitted[seen_lamp].T * area[seen_lamp]).sum(axis=1) + truth[lamp].T @ area[lamp]),
+                    rtol=1e-3,
+                )
+    finally:
+        gl.release()

@@ -7,8 +7,8 @@ import numpy as np
 from nearfield_protocol.codec import VAL_DTYPE, decode_light_packet
 from nearfield_server.bus.messages import ControlState, ObjectPlacement, room_revision
 from nearfield_server.illumination.packet import PacketWriter
-from nearfield_server.illumination.process import object_bounds, object_poses, usable_fill
-from nearfield_server.records import LightUpdate, RoomMesh, UnseenFill
+from nearfield_server.illumination.process import object_bounds, object_poses
+from nearfield_server.records import LightUpdate, RoomMesh
 
 HASH = "89abcdef" + "0" * 56
 
@@ -61,9 +61,3 @@ def test_the_bounding_sphere_holds_all_points() -> None:
     distances = np.linalg.norm(points - sphere.centre, axis=1)
     np.testing.assert_allclose(distances.max(), sphere.radius, rtol=1e-12)
     np.testing.assert_allclose(sphere.centre, (points.min(0) + points.max(0)) / 2)
-
-
-def test_surfaces_that_nobody_sees_stay_black() -> None:
-    fill = usable_fill(UnseenFill(texel=np.array([4, 5, 6], np.int32), source=np.array([1, -1, 2], np.int32)))
-    assert fill.texels.tolist() == [4, 6]
-    assert fill.source.tolist() == [1, 2]

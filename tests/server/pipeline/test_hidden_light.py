@@ -7,19 +7,18 @@ from nearfield_server.pipeline.gather import block_maxima
 from nearfield_server.pipeline.hidden_light import (
     HiddenLight,
     estimate_hidden_radiance,
+    explain_receivers,
     find_hidden_light,
+    texels_without_source,
     write_hidden_radiance,
 )
 from nearfield_server.pipeline.runner import LightPipeline
-from nearfield_server.records import CameraFrame, LightSettings, RoomMesh
-from nearfield_server.reference.box_room import BoxRoom, make_box_room
+from nearfield_server.records import CameraFrame, LightSettings, RoomMesh, UnseenFill
+from nearfield_server.reference.box_room import BoxRoom, hide_texels, make_box_room
+from nearfield_server.reference.hidden_light import estimate_hidden_radiance_reference
+from nearfield_server.reference.radiosity import equilibrium_radiance, transport_matrix
 
 ALBEDO = 0.5
-
-
-class NothingToRepeat:
-    texels = np.zeros(0, dtype=np.int32)
-    source = np.zeros(0, dtype=np.int32)
 
 
 @pytest.fixture(scope="module")
@@ -29,29 +28,12 @@ def small_room() -> BoxRoom:
 
 @pytest.fixture(scope="module")
 def transport(small_room: BoxRoom) -> np.ndarray:
-    """(N, N) irradiance on texel i per unit radiance of texel j; rows sum to pi, as in a closed room."""
-    position = small_room.texels.position.astype(np.float64)
-    normal = small_room.texels.normal.astype(np.float64)
-    offset = position[None] - position[:, None]
-    squared = np.maximum((offset**2).sum(axis=2), 1e-12)
-    cosines = np.maximum(np.einsum("ijk,ik->ij", offset, normal), 0.0)
-    cosines *= np.maximum(-np.einsum("ijk,jk->ij", offset, normal), 0.0)
-    area = small_room.texels.area.astype(np.float64)
-    matrix = cosines * area / (squared * (squared + area / np.pi))
-    return matrix * (np.pi / matrix.sum(axis=1, keepdims=True))
+    return transport_matrix(small_room.texels)
 
 
 def _lamp(room: BoxRoom, x: float, z: float, half: float = 0.35) -> np.ndarray:
     position, normal = room.texels.position, room.texels.normal
     return (normal[:, 1] < -0.5) & (np.abs(position[:, 0] - x) < half) & (np.abs(position[:, 2] - z) < half)
-
-
-def _solve(transport: np.ndarray, emitted: np.ndarray, albedo: np.ndarray) -> np.ndarray:
-    """Radiance in equilibrium; emitters do not reflect."""
-    radiance = emitted.copy()
-    for _ in range(25):
-        radiance = emitted + albedo / np.pi * (transport @ radiance)
-    return radiance
 
 
 def _case(
@@ -64,7 +46,7 @@ def _case(
     emitted[hidden] = hidden_radiance
     albedo = np.full((seen.size, 1), ALBEDO * (1.0 + albedo_error))
     albedo[seen | hidden] = 0.0
-    radiance = _solve(transport, emitted, albedo)
+    radiance = equilibrium_radiance(transport, emitted, albedo)
     radiance[hidden] = 0.0
     return radiance.astype(np.float32), hidden
 
@@ -133,6 +115,62 @@ def test_noise_does_not_switch_it(small_room: BoxRoom, transport: np.ndarray) ->
     assert (np.std(values, axis=0) < 0.03 * np.mean(values, axis=0)).all()
 
 
+def test_the_fast_estimate_agrees_with_the_float64_oracle(small_room: BoxRoom) -> None:
+    """Whatever the atlas holds: many surfaces, some believed and some not, seen by each other's receivers."""
+    mesh = _mesh(small_room)
+    # Every wall is a surface of its own.
+    split = replace(
+        mesh,
+        face_material=np.repeat(np.arange(6, dtype=np.int32), 2),
+        materials=tuple("abcdef"),
+        material_albedo=np.full((6, 3), ALBEDO),
+    )
+    lamps = _lamp(small_room, 1.5, 2.0) | (small_room.texels.normal[:, 0] > 0.5)
+    lamps |= small_room.texels.normal[:, 2] < -0.5
+    found = find_hidden_light(split, small_room.texels, lamps, small_room)
+    assert found is not None
+    assert found.num_groups == 3
+    believed = 0
+    for seed in range(30):
+        rng = np.random.default_rng(seed)
+        radiance = rng.uniform(0.8, 1.2, (lamps.size, 3)) * rng.uniform(0.1, 3.0, (6, 3)).repeat(
+            lamps.size // 6, axis=0
+        )
+        radiance = np.where(lamps[:, None], 0.0, radiance).astype(np.float32)
+        shining = rng.random(3) < 0.5
+        estimate = estimate_hidden_radiance(found, radiance, shining)
+        np.testing.assert_allclose(
+            estimate, estimate_hidden_radiance_reference(found, radiance, shining), rtol=1e-9, atol=1e-12
+        )
+        believed += np.count_nonzero(estimate.any(axis=1))
+    assert 0 < believed < 90
+
+
+def test_more_evidence_is_needed_to_switch_on_than_to_stay_on() -> None:
+    found = HiddenLight(
+        texels=np.zeros(1, dtype=np.int32),
+        group=np.zeros(1, dtype=np.int32),
+        receiver=np.arange(5, dtype=np.int32),
+        group_rows=np.array([0, 5]),
+        inverse_albedo=np.full((5, 3), np.pi / ALBEDO),
+        form_factor=np.full((5, 1), 0.1),
+        ray_start=np.zeros(6, dtype=np.int64),
+        ray_texel=np.zeros(0, dtype=np.int32),
+        ray_weight=np.zeros(0, dtype=np.float32),
+    )
+    shown = np.full((5, 3), ALBEDO / np.pi, dtype=np.float32)
+    for share, switches_on, stays_on in ((0.15, False, False), (0.25, False, True), (0.35, True, True)):
+        visible = np.full((5, 3), 1.0 - share)
+        for shining, expected in ((False, switches_on), (True, stays_on)):
+            value = explain_receivers(found, shown, visible, np.array([shining]))
+            np.testing.assert_allclose(value, 10.0 * share if expected else 0.0, rtol=1e-6)
+
+
+def test_only_texels_without_a_source_are_searched() -> None:
+    fill = UnseenFill(texel=np.array([4, 5, 6], np.int32), source=np.array([1, -1, 2], np.int32))
+    assert np.flatnonzero(texels_without_source(fill, 8)).tolist() == [5]
+
+
 def test_surfaces_of_other_materials_are_told_apart(small_room: BoxRoom) -> None:
     mesh = _mesh(small_room)
     material = mesh.face_material.copy()
@@ -177,17 +215,6 @@ def test_the_pipeline_makes_a_light_of_it(small_room: BoxRoom, transport: np.nda
     def field(points: np.ndarray, face: np.ndarray) -> np.ndarray:
         return radiance[small_room.texel_at(points)].astype(np.float64)
 
-    table = small_room.table
-    keep = ~np.repeat(hidden, np.diff(table.pair_start))
-    counts = np.where(hidden, 0, np.diff(table.pair_start))
-    table = replace(
-        table,
-        pair_start=np.concatenate([[0], np.cumsum(counts)]).astype(np.int64),
-        **{
-            name: getattr(table, name)[keep]
-            for name in ("camera", "pixel", "fraction_x", "fraction_y", "weight")
-        },
-    )
     frames = [
         CameraFrame(
             camera_index=k,
@@ -201,11 +228,11 @@ def test_the_pipeline_makes_a_light_of_it(small_room: BoxRoom, transport: np.nda
     pipeline = LightPipeline(
         _mesh(small_room),
         small_room.texels,
-        table,
+        hide_texels(small_room.table, hidden),
         LightSettings(),
         probe_rays=small_room,
         backend="cpu",
-        unseen_fill=NothingToRepeat(),
+        hidden_light=_find(small_room, hidden),
     )
     update = pipeline.update(frames, [])
     near = np.linalg.norm(update.vals["position"] - [1.5, 3.0, 2.0], axis=1) < 0.6

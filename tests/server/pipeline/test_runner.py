@@ -7,8 +7,14 @@ import pytest
 from nearfield_protocol.codec import VAL_DTYPE
 from nearfield_server.errors import ConfigError, GraphicsError
 from nearfield_server.pipeline.runner import STAGES, LightPipeline
-from nearfield_server.records import CameraFrame, LightSettings, LightUpdate, ObjectPose
-from nearfield_server.reference.box_room import BoxRoom, RadianceField, lamp_field, make_box_room
+from nearfield_server.records import CameraFrame, LightSettings, LightUpdate, ObjectPose, UnseenFill
+from nearfield_server.reference.box_room import (
+    BoxRoom,
+    RadianceField,
+    hide_texels,
+    lamp_field,
+    make_box_room,
+)
 
 
 class Ticks:
@@ -292,3 +298,26 @@ def test_auto_falls_back_to_the_processor(room: BoxRoom, monkeypatch: pytest.Mon
     assert _pipeline(room, backend="auto").backend_name == "cpu"
     with pytest.raises(GraphicsError, match="no context"):
         _pipeline(room, backend="gl")
+
+
+def test_unseen_texels_repeat_their_source_or_stay_black(room: BoxRoom, two_lamps: RadianceField) -> None:
+    unseen = np.array([7, 8, 9], dtype=np.int32)
+    hidden = np.zeros(room.texels.area.size, dtype=bool)
+    hidden[unseen] = True
+    fill = UnseenFill(texel=unseen, source=np.array([100, -1, 200], dtype=np.int32))
+    pipeline = LightPipeline(
+        room.mesh(),
+        room.texels,
+        hide_texels(room.table, hidden),
+        LightSettings(),
+        probe_rays=room,
+        backend="cpu",
+        unseen_fill=fill,
+    )
+    update = pipeline.update(_frames(room, two_lamps), [])
+    radiance = pipeline.texel_radiance
+    np.testing.assert_array_equal(radiance[7], radiance[100])
+    np.testing.assert_array_equal(radiance[9], radiance[200])
+    assert radiance[100].all()
+    assert not radiance[8].any()
+    assert update.counters["texels_unseen"] == 1.0

@@ -1,0 +1,71 @@
+"""The radiance of hidden lamps in plain float64 numpy: the oracle of `pipeline.hidden_light.estimate_hidden_radiance`.
+
+The static data (who sees whom) is an input; what is made of a radiance atlas is written here a second time, without the
+bookkeeping that spares the fast version most of its work.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nearfield_server.pipeline.hidden_light import (
+    ACCEPT_SHARE,
+    KEEP_SHARE,
+    MAX_SPREAD,
+    MIN_RECEIVERS,
+    HiddenLight,
+)
+
+
+def estimate_hidden_radiance_reference(
+    hidden: HiddenLight, radiance: NDArray[np.floating], shining: NDArray[np.bool_]
+) -> NDArray[np.float64]:
+    """(G, 3) radiance of every hidden surface; arguments as for the fast version, all evidence anew in every round."""
+    atlas = radiance.astype(np.float64)
+    arriving = atlas[hidden.receiver] * hidden.inverse_albedo
+    ray_receiver = np.repeat(np.arange(hidden.receiver.size), np.diff(hidden.ray_start))
+    seen = hidden.ray_weight.astype(np.float64)[:, None] * atlas[hidden.ray_texel]
+    visible = np.stack(
+        [np.bincount(ray_receiver, seen[:, channel], hidden.receiver.size) for channel in range(3)], axis=1
+    )
+    missing = arriving - visible
+    needed = np.where(shining, KEEP_SHARE, ACCEPT_SHARE)
+    result = np.zeros((hidden.num_groups, 3))
+    closed: set[int] = set()
+    while True:
+        candidates = {
+            surface: found
+            for surface in range(hidden.num_groups)
+            if surface not in closed
+            and (found := _believed(hidden, surface, arriving, missing, needed[surface])) is not None
+        }
+        if not candidates:
+            return result
+        best = max(candidates, key=lambda surface: float(candidates[surface].sum()))
+        result[best] = candidates[best]
+        closed.add(best)
+        missing = missing - hidden.form_factor[:, best, None] * result[best]
+
+
+def _believed(
+    hidden: HiddenLight,
+    surface: int,
+    arriving: NDArray[np.float64],
+    missing: NDArray[np.float64],
+    needed: float,
+) -> NDArray[np.float64] | None:
+    """Radiance (3,) of a surface, or None where its receivers do not testify to it."""
+    rows = np.arange(hidden.group_rows[surface], hidden.group_rows[surface + 1])
+    rows = rows[(hidden.form_factor[rows, surface] > 0.0) & (arriving[rows].sum(axis=1) > 0.0)]
+    if rows.size < MIN_RECEIVERS:
+        return None
+    factor = hidden.form_factor[rows, surface]
+    radiance = np.maximum(np.median(missing[rows] / factor[:, None], axis=0), 0.0)
+    total = radiance.sum()
+    if not total > 0.0:
+        return None
+    grey = missing[rows].sum(axis=1) / factor
+    spread = np.median(np.abs(grey - np.median(grey))) / total
+    share = np.median(factor / arriving[rows].sum(axis=1)) * total
+    return np.asarray(radiance) if share >= needed and spread <= MAX_SPREAD else None
