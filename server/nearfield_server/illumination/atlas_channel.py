@@ -11,7 +11,7 @@ from scipy.ndimage import distance_transform_edt
 from nearfield_protocol.codec import AtlasTiles, cut_tiles, encode_radiance, tile_changes
 from nearfield_server.records import TexelGeometry
 
-STREAM_SIZE = 256
+STREAM_SIZE = 512
 _GUTTER = 2.9  # cells: two rings around every chart, corners included
 
 
