@@ -183,10 +183,51 @@ def test_indirect_exchange_equals_the_closed_form(harness: Any) -> None:
     np.testing.assert_array_equal(picture[outside, :3], 2.0)
 
 
-def _sh_basis(x: float, y: float, z: float) -> NDArray[np.float64]:
+def test_indirect_exchange_between_two_virtual_objects(harness: Any) -> None:
+    """A convex object in the field of another: its irradiance changes by E_block * (left * L_other - L_hidden), by its normal."""
+    o = np.array([0.8, -0.4, 0.1, 0.2, 0.05, 0.1, -0.1, 0.05, 0.1], np.float16).astype(float)
+    field = {"boxMin": [-1.0, -2.0, -1.0], "boxSize": [2.0, 4.0, 2.0], "coeffs": o.tolist()}
+    albedos, centre, radius, side = (0.7, 0.6), np.array([0, 0.6, 0]), 0.25, 96
+    view = harness.view([0.3, 1.0, 1.6], centre.tolist(), side, side, 180.0)
+    view["background"] = np.zeros(3 * side * side).tolist()
+    objects = [
+        harness.sphere([0, 1.5, 0], 0.05, albedo=albedos[0], isConvex=True, field=field),
+        harness.sphere(centre.tolist(), radius, albedo=albedos[1], isConvex=True, rings=96),
+    ]
+    scene = {"room": harness.floor(), "objects": objects, "views": [view]}
+    harness.create(scene, side, side, antiAliasing=False)
+    sh = np.array(
+        [[5.0, 0.5, -0.3, 0.2, 0.1, -0.2, 0.3, 0.05, 0.1], [4.0, -0.4, 0.3, 0.1, 0.2, 0, -0.1, 0.2, 0]]
+    )
+    harness.call("setLight", [], np.repeat(sh.ravel(), 3).tolist())
+    picture = harness.picture()
+    pose = np.reshape(view["worldFromCamera"], (4, 4))
+    x, y = np.meshgrid(np.arange(side) - view["cx"], np.arange(side) - view["cy"])
+    rays = np.stack([x / view["fx"], y / view["fy"], np.ones_like(x)], -1) @ pose[:3, :3].T
+    rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
+    to_centre = centre - pose[:3, 3]
+    along = rays @ to_centre
+    apart = to_centre @ to_centre - along**2
+    # Away from the silhouette, where the polygons of the sphere would show.
+    inside = (apart < (0.9 * radius) ** 2) & (picture[..., 3] == 1)
+    hit = along - np.sqrt(np.maximum(radius**2 - apart, 0))
+    normal = (hit[..., None] * rays - to_centre)[inside] / radius
+    basis = _sh_basis(*normal.T).T
+    kernel = np.array([np.pi] + [2 * np.pi / 3] * 3 + [np.pi / 4] * 5)
+    direction = np.array([o[3], o[1], o[2]]) / np.linalg.norm(o[1:4])
+    blocked = np.clip(basis @ (kernel * o), 0, np.pi)
+    bounced = albedos[0] / np.pi * np.sum(kernel * sh[0] * _sh_basis(*-direction))
+    left = 1 - blocked / np.pi * np.maximum(0, normal @ direction)
+    irradiance = basis @ (kernel * sh[1]) + blocked * (left * bounced - sh[0] @ _sh_basis(*direction))
+    assert inside.sum() > 1000
+    assert np.ptp(blocked) > 0.5
+    np.testing.assert_allclose(picture[inside, 0], albedos[1] / np.pi * irradiance, atol=3e-3)
+
+
+def _sh_basis(x: Any, y: Any, z: Any) -> NDArray[np.float64]:
     return np.array(
         [
-            0.28209479177387814,
+            0.28209479177387814 + 0 * x,
             0.4886025119029199 * y,
             0.4886025119029199 * z,
             0.4886025119029199 * x,

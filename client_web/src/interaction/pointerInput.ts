@@ -44,6 +44,9 @@ export class PointerInput {
     element.addEventListener('pointermove', (event) => this.#move(event), options)
     element.addEventListener('pointerup', (event) => this.#up(event), options)
     element.addEventListener('pointercancel', (event) => this.#up(event), options)
+    for (const type of ['keydown', 'blur']) {
+      element.addEventListener(type, () => element.classList.remove('by-pointer'), options)
+    }
   }
 
   dispose(): void {
@@ -132,6 +135,8 @@ export class PointerInput {
 
   #keep(event: PointerEvent): void {
     event.stopImmediatePropagation()
+    // A frame around the focused picture helps those who use keys; under a finger it only disturbs.
+    this.#element.classList.add('by-pointer')
     this.#element.focus({ preventScroll: true })
     this.#element.setPointerCapture(event.pointerId)
   }

@@ -25,7 +25,7 @@ interface PlainMesh {
 
 /** A synthetic scene as JSON. */
 interface PlainScene {
-  room: PlainMesh & { albedo: number[] }
+  room: PlainMesh & { albedo: number[]; uv?: number[] }
   objects: (PlainMesh & {
     albedo: [number, number, number]
     worldFromObject: number[]
@@ -100,7 +100,7 @@ function synthetic(scene: PlainScene): SceneAssets {
     normals: Float32Array.from(room.normals),
     indices: Uint32Array.from(room.indices),
     albedo: Float32Array.from(room.albedo),
-    uv: new Float32Array((2 * room.positions.length) / 3),
+    uv: Float32Array.from(room.uv ?? Array((2 * room.positions.length) / 3).fill(0)),
   }
   return {
     room: roomAsset,
@@ -188,6 +188,17 @@ const harness = {
   setWeights: (weights: number[]) => renderer().setLightWeights(Float32Array.from(weights)),
   setOptions: (options: Partial<RendererOptions>) => renderer().setOptions(options),
   setMode: (mode: ShadingMode) => renderer().setShadingMode(mode),
+  /** RGB9_E5 words, tile by tile: 32 x 32 each. */
+  setAtlas: (width: number, height: number, positions: number[], texels: number[]) =>
+    renderer().updateAtlas({
+      sequence: 1,
+      timestampNs: 0n,
+      roomRevision: 1,
+      width,
+      height,
+      positions: Uint16Array.from(positions),
+      texels: Uint32Array.from(texels),
+    }),
   render: (): FrameStats => renderer().render(performance.now()),
   /** Draws until nothing is left over, then reads linear RGBA. */
   picture: (): Promise<string> => {

@@ -9,7 +9,7 @@ import type { Frame } from './frame'
 const MARKER_VERTICES = 75
 
 /** Width of the outline around the selected object, as a share of the picture's height: 1 / this. */
-const OUTLINE_SHARE = 300
+const OUTLINE_SHARE = 500
 
 /** Exposure and transfer function to the canvas; the selected object's outline and markers of the VALs on top. Inputs: resolved picture, exposure. */
 export class DisplayPass {
@@ -33,7 +33,7 @@ export class DisplayPass {
       .float('uExposure', frame.options.exposure)
       .int('uSoftClip', frame.options.softClip)
       .int('uSelectedKind', frame.options.selectedObject + 1)
-      .float('uOutlineWidth', Math.max(1.5, picture.height / OUTLINE_SHARE))
+      .float('uOutlineWidth', Math.max(0.75, picture.height / OUTLINE_SHARE))
     drawScreen(gl)
     if (!frame.options.showVals || frame.valCount === 0) return
     gl.enable(gl.BLEND)
