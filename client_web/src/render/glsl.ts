@@ -10,7 +10,6 @@ import surface from './shaders/chunks/surface.glsl?raw'
 import valData from './shaders/chunks/val_data.glsl?raw'
 import coverageFragment from './shaders/coverage.frag?raw'
 import coverageVertex from './shaders/coverage.vert?raw'
-import depthOnly from './shaders/depth_only.frag?raw'
 import display from './shaders/display.frag?raw'
 import gbufferObjectFragment from './shaders/gbuffer_object.frag?raw'
 import gbufferObjectVertex from './shaders/gbuffer_object.vert?raw'
@@ -21,7 +20,8 @@ import roomFragment from './shaders/room.frag?raw'
 import roomVertex from './shaders/room.vert?raw'
 import screen from './shaders/screen.vert?raw'
 import shade from './shaders/shade.frag?raw'
-import shadowMap from './shaders/shadow_map.vert?raw'
+import shadowMapFragment from './shaders/shadow_map.frag?raw'
+import shadowMapVertex from './shaders/shadow_map.vert?raw'
 import tiles from './shaders/tiles.frag?raw'
 import valMarkerFragment from './shaders/val_marker.frag?raw'
 import valMarkerVertex from './shaders/val_marker.vert?raw'
@@ -61,7 +61,7 @@ export const SHADERS = {
   room: { vertex: roomVertex, fragment: roomFragment },
   gbufferRoom: { vertex: gbufferRoomVertex, fragment: resolveIncludes(gbufferRoomFragment) },
   gbufferObject: { vertex: gbufferObjectVertex, fragment: resolveIncludes(gbufferObjectFragment) },
-  shadowMap: { vertex: shadowMap, fragment: depthOnly },
+  shadowMap: { vertex: shadowMapVertex, fragment: shadowMapFragment },
   tiles: screenPass(tiles),
   shade: screenPass(shade),
   coverage: { vertex: coverageVertex, fragment: coverageFragment },

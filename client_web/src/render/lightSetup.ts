@@ -1,16 +1,14 @@
 /** Per-object light: sh_coeffs in object axes, with and without the VALs. */
 import { rotateSh } from '../radiometry/sh'
-import { FLOATS_PER_VAL, projectVals } from '../radiometry/valLight'
+import { FLOATS_PER_VAL, MAX_VALS, projectVals } from '../radiometry/valLight'
+import { discOf, fixtureVisibility, isHiddenBeyondFixture } from './fixtureVisibility'
 import { boundsOf, groundContact } from './groundContact'
 import { type ObjectState, worldCentre } from './objectData'
-import { castRay, type Triangles } from './rayMesh'
+import type { Triangles } from './rayMesh'
 import type { ObjectAsset } from './types'
-import { subtract } from './vector'
 
 /** Above this number of room triangles the rays would cost a frame; VALs then count as seen (too bright in their shadow). */
 const MAX_RAY_TRIANGLES = 20_000
-/** Share of the way left free at the VAL, which lies on a surface of the room itself. */
-const CLEARANCE = 1e-3
 
 export interface LightInput {
   readonly vals: ArrayLike<number>
@@ -31,18 +29,20 @@ export function lightObject(
   const indirect = Array.from({ length: 27 }, (_, i) => light.objectSh[27 * index + i] ?? 0)
   const centre = worldCentre({ asset, worldFromObject })
   const useRays = room.indices.length <= 3 * MAX_RAY_TRIANGLES
+  const openShare = new Float32Array(MAX_VALS).fill(1)
   const fromVals = projectVals(light.vals, light.count, centre, (slot) => {
-    if (!useRays) return 1
-    const base = slot * FLOATS_PER_VAL
-    const position = [0, 1, 2].map((i) => light.vals[base + i] ?? 0) as [number, number, number]
-    const hit = castRay(room, position, subtract(centre, position), true, 1)
-    return hit !== null && hit.distance > CLEARANCE ? 0 : 1
+    const disc = useRays ? discOf(light.vals, slot * FLOATS_PER_VAL, slot, centre) : null
+    if (!disc) return 1
+    const open = fixtureVisibility(disc, centre, asset.radius, room)
+    openShare[slot] = open
+    return open > 0 && isHiddenBeyondFixture(disc, centre, asset.radius, room) ? 0 : open
   })
   const all = indirect.map((value, i) => value + (fromVals[i] ?? 0))
   return {
     asset,
     worldFromObject,
     contact: groundContact(boundsOf(asset.positions), asset.radius, worldFromObject, room),
+    openShare,
     shIndirect: rotateSh(indirect, worldFromObjectRows),
     shAll: rotateSh(all, worldFromObjectRows),
   }

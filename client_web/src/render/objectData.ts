@@ -14,6 +14,8 @@ export interface ObjectState {
   readonly worldFromObject: ArrayLike<number>
   /** Share of the ground shadow that applies: groundContact.ts. */
   readonly contact: number
+  /** By slot: share of each VAL that its fixture leaves visible from here, fixtureVisibility.ts. */
+  readonly openShare: Float32Array
   /** 27 each, object axes: indirect light, and all light (VALs included). */
   readonly shIndirect: Float32Array
   readonly shAll: Float32Array

@@ -294,7 +294,14 @@ export class Renderer {
       runner.idle('shadow maps')
     }
     runner.run('light data', ['object light', 'shadow maps'], ['light data'], () => {
-      gpu.valData.upload(packVals(this.#vals, this.#valCount, this.#maps.drawn))
+      gpu.valData.upload(
+        packVals(
+          this.#vals,
+          this.#valCount,
+          this.#maps.drawn,
+          this.#objects.map((object) => object.openShare),
+        ),
+      )
       gpu.objectData.upload(packObjects(this.#objects, gpu.shade.slabStarts))
     })
     runner.run('gbuffer', ['size', 'camera', 'object light'], ['gbuffer'], () =>

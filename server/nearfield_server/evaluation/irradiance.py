@@ -21,6 +21,7 @@ from nearfield_server.scene.prepared_model import PreparedModel
 from nearfield_server.scene.ray_caster import RayCaster
 
 DISC_SAMPLES = 32
+_SURE_RADIUS = np.sqrt(0.75)
 # Rays start this far above a surface and end this far before a light: well above the rounding of float32 rays and of quantised
 # VAL positions
 # (a 65535th of the room), well below what casts a shadow that is seen.
@@ -158,9 +159,13 @@ def visible_part(
 
 
 def disc_points(val: np.void, count: int) -> NDArray[np.float64]:
-    """Even points on the disc of a VAL (sunflower pattern, equal areas): (count, 3) world."""
+    """Even points on the disc of a VAL (sunflower pattern, equal areas): (count, 3) world.
+
+    Only the part of the disc that lies on a square emitter of the same second moment is used: beyond it the points may stand
+    inside the housing of the lamp. The client uses the same part.
+    """
     normal = np.asarray(val["normal"], np.float64)
-    radius = np.sqrt(float(val["area"]) / np.pi)
+    radius = _SURE_RADIUS * np.sqrt(float(val["area"]) / np.pi)
     helper = np.eye(3)[np.argmin(np.abs(normal))]
     tangent = np.cross(normal, helper)
     tangent /= np.linalg.norm(tangent)

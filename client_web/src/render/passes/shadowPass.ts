@@ -1,4 +1,5 @@
 import { MAX_VALS } from '../../radiometry/valLight'
+import { FIXTURE_SHARE } from '../fixtureVisibility'
 import { Program, type TextureBinding } from '../gl/program'
 import { Target } from '../gl/targets'
 import { SHADERS } from '../glsl'
@@ -66,9 +67,12 @@ export class ShadowPass {
         if (!fit || !(isRoom ? room : virtual)) continue
         this.#aim(slot, positions(slot), fit)
         if (isRoom) {
-          this.#program.mat4('uWorldFromObject', IDENTITY)
+          // Nearer blockers are the fixture's: fixtureVisibility.ts.
+          const nearest = Math.max(FIXTURE_SHARE * fit.nearestCaster, SHADOW_NEAR)
+          this.#program.float('uNearestDepth', 1 - SHADOW_NEAR / nearest).mat4('uWorldFromObject', IDENTITY)
           meshes.room.draw()
         } else {
+          this.#program.float('uNearestDepth', 0)
           this.#drawObjects(frame, meshes)
         }
       }

@@ -31,6 +31,9 @@ vec3 shadeWithVal(int slot, Surface surface, float turn) {
     return vec3(0.0);
   }
   vec3 radiance = surface.albedo * 0.3183098861837907 * irradiance;
+  if (uShadows) {
+    radiance *= isReal ? val.openShare : openShareOf(slot, surface.kind - 1);
+  }
   bool mapped = uShadows && val.hasShadowMap;
   Receiver receiver = makeReceiver(val, slot, surface.positionWorld, surface.normalWorld, turn);
   if (!isReal) {

@@ -59,14 +59,14 @@ Receiver makeReceiver(Val val, int slot, vec3 positionWorld, vec3 normalWorld, f
 
 // Depth at which the tangent plane of the receiver meets the ray with this slope, moved towards the VAL by the slope of one texel:
 // a flat receiver never shades itself, however wide the filter is.
-float receiverDepth(Receiver receiver, Val val, vec2 slope) {
+float receiverDepth(Receiver receiver, Val val, vec2 slope, float steepest) {
   float plane = dot(receiver.normal, receiver.position);
   float facing = dot(receiver.normal, vec3(slope, 1.0));
   float z = receiver.position.z;
   // Beyond the horizon of the plane there is no meeting point: fall back to a plane facing the VAL.
   float meeting = facing < -1e-3 && plane < 0.0 ? clamp(plane / facing, 0.5 * z, 2.0 * z) : z;
   float texelSlope = max(1.0 / val.scale.x, 1.0 / val.scale.y) / uShadowLayout.y;
-  float steepness = min(length(receiver.normal.xy) / max(-facing, 0.05), 8.0);
+  float steepness = min(length(receiver.normal.xy) / max(-facing, 0.05), steepest);
   float bias = meeting * texelSlope * (0.7 + steepness) + 0.0005;
   return 1.0 - uShadowNear / max(meeting - bias, uShadowNear);
 }
@@ -98,7 +98,7 @@ float meanBlockerDepth(sampler2D depths, Receiver receiver, Val val, float neare
     float depth = textureLod(depths, place.xy, 0.0).r;
     // A blocker counts only if it stands between the receiver and a point of the disc.
     float own = (1.0 - depth) / uShadowNear - inverse;
-    bool blocks = (beyond || place.z > 0.5) && depth < receiverDepth(receiver, val, tap) && own * 1.05 + 0.1 * texelSlope >= length(unit) * reach;
+    bool blocks = (beyond || place.z > 0.5) && depth < receiverDepth(receiver, val, tap, beyond ? 8.0 : 0.0) && own * 1.05 + 0.1 * texelSlope >= length(unit) * reach;
     sum += blocks ? share * depth : 0.0;
     count += blocks ? share : 0.0;
   }
@@ -113,7 +113,7 @@ float filteredVisibility(sampler2DShadow compared, Receiver receiver, Val val, f
   for (int i = 0; i < uFilterTaps; i++) {
     vec2 tap = slope + receiver.disc * vogelPoint(i, uFilterTaps, receiver.turn) * spread;
     vec3 place = atlasPlace(receiver, val, tap);
-    float lit = textureLod(compared, vec3(place.xy, receiverDepth(receiver, val, tap)), 0.0);
+    float lit = textureLod(compared, vec3(place.xy, receiverDepth(receiver, val, tap, beyond ? 8.0 : 0.0)), 0.0);
     seen += beyond || place.z > 0.5 ? lit : 1.0;
   }
   return seen / float(uFilterTaps);

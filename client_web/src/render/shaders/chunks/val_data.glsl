@@ -7,6 +7,8 @@ struct Val {
   vec3 normalWorld;
   float discRadius;
   vec3 radiantIntensity;
+  // Share of the disc that the fixture leaves visible, mean over the virtual objects.
+  float openShare;
   // Axes of the shadow map, world: right, up and the viewing direction.
   vec3 right;
   vec3 up;
@@ -27,7 +29,9 @@ Val fetchVal(int slot) {
   row = texelFetch(uValData, ivec2(1, slot), 0);
   val.normalWorld = row.xyz;
   val.discRadius = row.w;
-  val.radiantIntensity = texelFetch(uValData, ivec2(2, slot), 0).rgb;
+  row = texelFetch(uValData, ivec2(2, slot), 0);
+  val.radiantIntensity = row.rgb;
+  val.openShare = row.a;
   row = texelFetch(uValData, ivec2(3, slot), 0);
   val.right = row.xyz;
   val.scale.x = row.w;
@@ -41,6 +45,11 @@ Val fetchVal(int slot) {
   val.offset = row.xy;
   val.nearestCaster = row.z;
   return val;
+}
+
+// The same as seen from one virtual object.
+float openShareOf(int slot, int object) {
+  return texelFetch(uValData, ivec2(8 + object / 4, slot), 0)[object % 4];
 }
 
 // Irradiance of an unoccluded VAL: disc form of protocol/CONVENTIONS.md (Rohmer et al. 2014, Eq. 6, without its singularity).

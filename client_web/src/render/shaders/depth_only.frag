@@ -1,3 +1,0 @@
-#version 300 es
-precision highp float;
-void main() {}
