@@ -190,6 +190,59 @@ def test_live_page_draws_sends_and_survives_a_lost_context(
     _until(page, lambda: _brightness(page) > 10)
 
 
+def test_a_dragged_object_takes_its_shadow_along(service: Service, visit: Callable[..., Any]) -> None:
+    """The grabbed point stays under the pointer, and the server is told where the object stands in the end."""
+    page, complaints = visit(service.url)
+
+    def composite(radiant_intensity: float) -> NDArray[np.float32]:
+        packet = service.light(radiant_intensity)
+        page.evaluate("packet => window.nearfield.applyLightPacket(packet)", packet)
+        page.evaluate("sequence => window.nearfield.waitForLight(sequence)", service.sequence)
+        return _composite(page)
+
+    background, before = composite(0.0), composite(0.5)
+    width = before.shape[1]
+    row, column = _centroid(before[..., 3])
+    box = page.locator("canvas").bounding_box()
+    assert box is not None
+    scale = box["width"] / width
+    x, y = box["x"] + (column + 0.5) * scale, box["y"] + (row + 0.5) * scale
+    # Towards the side of the picture with more floor.
+    shift = 12 if column < width / 2 else -12
+    page.mouse.move(x, y)
+    page.mouse.down()
+    page.mouse.move(x + 0.5 * shift * scale, y, steps=3)
+    page.mouse.move(x + shift * scale, y, steps=3)
+    page.mouse.up()
+    assert page.evaluate("window.nearfield.state().selectedObject") == 0
+    after = _composite(page)
+    assert after[round(row), round(column) + shift, 3] == 1
+    moved = np.subtract(_centroid(after[..., 3]), (row, column))
+    assert moved[1] == pytest.approx(shift, abs=2.5)
+    shadows = [
+        np.where(picture[..., 3] == 0, (background - picture)[..., :3].sum(-1), 0).clip(min=0)
+        for picture in (before, after)
+    ]
+    travelled = np.subtract(_centroid(shadows[1]), _centroid(shadows[0]))
+    assert travelled[1] * shift > 0
+    assert abs(travelled[1]) > 4
+    pose = page.evaluate("window.nearfield.state().objectPoses[0]")
+    position = (pose[3], pose[7], pose[11])
+
+    def is_told() -> bool:
+        sent = [each for each in service.requests if isinstance(each, SetObjectPose)]
+        return bool(sent) and sent[-1].position == pytest.approx(position, abs=1e-5)
+
+    _until(page, is_told)
+    assert complaints == []
+
+
+def _centroid(weights: NDArray[np.float32]) -> tuple[float, float]:
+    """Mean row and column, weighted."""
+    rows, columns = np.indices(weights.shape)
+    return float(np.average(rows, weights=weights)), float(np.average(columns, weights=weights))
+
+
 def _brightness(page: Page) -> float:
     """Mean grey value of the picture on the screen, 0 to 255."""
     import cv2
