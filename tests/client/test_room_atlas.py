@@ -167,3 +167,22 @@ def test_the_room_behind_a_silhouette_is_its_own(harness: Any) -> None:
     picture = harness.picture()
     assert (picture[..., 3] == 1).sum() > 200
     np.testing.assert_allclose(picture[..., :3], (1 - picture[..., 3:]) * empty[..., :3], atol=2e-3)
+
+
+def test_faces_thinner_than_a_pixel_show_nothing_beyond_their_chart(harness: Any) -> None:
+    """A board's narrow sides cover a part of some pixels only: what is looked up must still lie within the board."""
+    room = _room(harness)
+    board = harness.box([-0.4, 0.5, 0.0], [0.4, 1.7, 0.01], [0.5, 0.5, 0.5], inward=False)
+    joined = harness.join(room, board)
+    joined["uv"] = room["uv"] * 2
+    view = harness.view([0, 1, 2], [0, 1, 0], WIDTH, HEIGHT, 100.0)
+    harness.create({"room": joined, "objects": [], "views": [view]}, WIDTH, HEIGHT)
+    _send_atlas(harness, ramp=0.0)
+    for turn in np.linspace(-0.2, 0.2, 5):
+        pose = _camera()
+        pose[0, 3] += 4 * turn
+        harness.call("setFreeCamera", pose.ravel().tolist(), FOV)
+        picture = harness.picture()[..., :3]
+        assert picture.max() <= 4.02
+        # The darkest face has 3.5 in all channels together.
+        assert picture.sum(axis=-1).min() >= 3.48
