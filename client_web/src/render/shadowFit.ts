@@ -18,7 +18,7 @@ export interface ShadowFit {
 }
 
 /** Metres. Nothing nearer to a VAL is drawn into its map. */
-export const SHADOW_NEAR = 0.002
+export const SHADOW_NEAR = 0.02
 /** Half field of view of the map of a VAL that is too close to an object: 75 degrees. */
 const WIDEST = (75 * Math.PI) / 180
 /** Share of the window left free on each side, so that bilinear taps at silhouettes stay inside. */

@@ -80,6 +80,11 @@ vec3 atlasPlace(Receiver receiver, Val val, vec2 slope) {
   return vec3((receiver.tileOrigin + kept) / uShadowLayout.x, inside ? 1.0 : 0.0);
 }
 
+vec2 keptSlope(Receiver receiver, Val val, vec3 place, vec2 slope, bool beyond) {
+  // What goes on as at the border is compared with the receiver's plane at the border.
+  return beyond && place.z < 0.5 ? (place.xy * uShadowLayout.x - receiver.tileOrigin - val.offset) / val.scale : slope;
+}
+
 // Mean depth of what hides the disc, or a negative number when nothing does. `beyond`: what lies outside the window goes on as at its
 // border (the room), or is empty (virtual objects, which the window holds whole).
 float meanBlockerDepth(sampler2D depths, Receiver receiver, Val val, float nearest, bool beyond) {
@@ -98,7 +103,7 @@ float meanBlockerDepth(sampler2D depths, Receiver receiver, Val val, float neare
     float depth = textureLod(depths, place.xy, 0.0).r;
     // A blocker counts only if it stands between the receiver and a point of the disc.
     float own = (1.0 - depth) / uShadowNear - inverse;
-    bool blocks = (beyond || place.z > 0.5) && depth < receiverDepth(receiver, val, tap, beyond ? 8.0 : 0.0) && own * 1.05 + 0.1 * texelSlope >= length(unit) * reach;
+    bool blocks = (beyond || place.z > 0.5) && depth < receiverDepth(receiver, val, keptSlope(receiver, val, place, tap, beyond), beyond ? 8.0 : 0.0) && own * 1.05 + 0.1 * texelSlope >= length(unit) * reach;
     sum += blocks ? share * depth : 0.0;
     count += blocks ? share : 0.0;
   }
@@ -113,7 +118,7 @@ float filteredVisibility(sampler2DShadow compared, Receiver receiver, Val val, f
   for (int i = 0; i < uFilterTaps; i++) {
     vec2 tap = slope + receiver.disc * vogelPoint(i, uFilterTaps, receiver.turn) * spread;
     vec3 place = atlasPlace(receiver, val, tap);
-    float lit = textureLod(compared, vec3(place.xy, receiverDepth(receiver, val, tap, beyond ? 8.0 : 0.0)), 0.0);
+    float lit = textureLod(compared, vec3(place.xy, receiverDepth(receiver, val, keptSlope(receiver, val, place, tap, beyond), beyond ? 8.0 : 0.0)), 0.0);
     seen += beyond || place.z > 0.5 ? lit : 1.0;
   }
   return seen / float(uFilterTaps);
