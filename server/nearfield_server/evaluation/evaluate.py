@@ -24,7 +24,8 @@ from nearfield_server.geometry.cache import load_or_build
 from nearfield_server.radiometry.image_metrics import average_2x2
 from nearfield_server.records import RoomMesh
 from nearfield_server.scene.bundle import Bundle, load_bundle
-from nearfield_server.scene.prepared_model import ensure_prepared, load_prepared
+from nearfield_server.scene.prepared_cache import ensure_prepared
+from nearfield_server.scene.prepared_model import load_prepared
 from nearfield_server.scene.room_config import RoomConfig, room_from_bundle
 
 Progress = Callable[[str], None]

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from nearfield_protocol.layout import VERSION
 from nearfield_server.bus.messages import room_revision
+from nearfield_server.cache_root import cache_root
 from nearfield_server.errors import AssetError
 from nearfield_server.gateway.scene_description import (
     AtlasDescription,
@@ -24,7 +25,7 @@ from nearfield_server.gateway.scene_description import (
     ViewDescription,
 )
 from nearfield_server.records import RoomMesh
-from nearfield_server.scene.prepared_model import cache_folder, ensure_prepared
+from nearfield_server.scene.prepared_cache import ensure_prepared
 from nearfield_server.scene.room_config import RoomConfig
 from nearfield_server.scene.room_model import export_room_glb
 
@@ -111,7 +112,7 @@ def build_scene(
 
 
 def _exported_room(mesh: RoomMesh) -> Path:
-    path = cache_folder().parent / "rooms" / f"room-{mesh.content_hash[:32]}.glb"
+    path = cache_root() / "rooms" / f"room-{mesh.content_hash[:32]}.glb"
     if path.is_file():
         return path
     partial = path.with_suffix(".partial")

@@ -19,6 +19,7 @@ from typing import Any, TypeVar
 import numpy as np
 import structlog
 
+from nearfield_server.cache_root import cache_root
 from nearfield_server.errors import AssetError
 from nearfield_server.geometry.gather_table import build_gather_table, find_unseen_fill
 from nearfield_server.geometry.probes import ProbeRays
@@ -42,15 +43,6 @@ Geometry = tuple[RoomMesh, TexelGeometry, GatherTable, UnseenFill, HiddenLight |
 _Record = TypeVar("_Record", RoomMesh, TexelGeometry, GatherTable, UnseenFill, HiddenLight)
 
 
-def default_cache_dir() -> Path:
-    """`$NEARFIELD_CACHE_DIR`, else `$XDG_CACHE_HOME/nearfield`, else `~/.cache/nearfield`."""
-    chosen = os.environ.get("NEARFIELD_CACHE_DIR")
-    if chosen:
-        return Path(chosen)
-    base = os.environ.get("XDG_CACHE_HOME")
-    return (Path(base) if base else Path.home() / ".cache") / "nearfield"
-
-
 def load_or_build(
     room: RoomConfig,
     *,
@@ -64,7 +56,7 @@ def load_or_build(
 
     Args:
         room: room configuration.
-        cache_dir: folder of the cache, `default_cache_dir()` when None. A folder that cannot be written only costs time.
+        cache_dir: folder of the cache, `cache_root()` when None. A folder that cannot be written only costs time.
         progress: called with a text and the share of work done in [0, 1].
         rasteriser: see `geometry.texels.rasterise_texels`; part of the cache key.
 
@@ -73,7 +65,7 @@ def load_or_build(
         ConfigError: there is no camera.
         GraphicsError: OpenGL was asked for and is not there.
     """
-    folder = cache_dir if cache_dir is not None else default_cache_dir()
+    folder = cache_dir if cache_dir is not None else cache_root()
     report = progress if progress is not None else _ignore
     report("room model", 0.0)
     mesh, texels = load_or_build_texels(room, cache_dir=folder, rasteriser=rasteriser)
@@ -112,7 +104,7 @@ def load_or_build_texels(
     room: RoomConfig, *, cache_dir: Path | None = None, rasteriser: str = "cpu"
 ) -> tuple[RoomMesh, TexelGeometry]:
     """Mesh and texels of a room: what does not depend on cameras. Arguments and errors as for `load_or_build`."""
-    folder = cache_dir if cache_dir is not None else default_cache_dir()
+    folder = cache_dir if cache_dir is not None else cache_root()
     name = _surface_key(room, rasteriser).hexdigest()[:32]
     mesh_file, texel_file = folder / f"mesh-{name}.npz", folder / f"texels-{name}.npz"
     mesh = _load(mesh_file, RoomMesh) or _save(mesh_file, load_room_mesh(room.model_path, room.atlas_size))

@@ -119,53 +119,6 @@ def source_hash(path: str | Path) -> str:
         raise AssetError(f"{path}: cannot be read ({error.strerror}); check the path") from error
 
 
-def ensure_prepared(
-    glb_path: str | Path, preset: str = "medium", albedo: NDArray[np.floating] | None = None
-) -> Path:
-    """Path of the prepared form of a model: itself if it is prepared, else from the cache, else prepared now into the cache.
-
-    The cache (`cache_folder`) is keyed by the content of the file, preset, albedo and format, so an
-    edited model is prepared anew.
-
-    Args:
-        glb_path: any GLB.
-        preset: "preview", "medium" or "high".
-        albedo: (3,) instead of the material's.
-
-    Raises:
-        AssetError: the model cannot be prepared.
-    """
-    from nearfield_server.scene.prepare import prepare_model
-
-    path = Path(glb_path)
-    extras = read_glb_chunks(path)[0].get("extras")
-    if isinstance(extras, dict) and "nearfield" in extras:
-        return path
-    colour = (
-        "" if albedo is None else "-" + hashlib.sha256(np.asarray(albedo, "<f8").tobytes()).hexdigest()[:8]
-    )
-    name = f"{path.stem}-{source_hash(path)[:24]}-{preset}{colour}-v{FORMAT_VERSION}.glb"
-    cached = cache_folder() / name
-    if cached.is_file():
-        try:
-            load_prepared(cached)
-        except AssetError:
-            cached.unlink(missing_ok=True)
-        else:
-            return cached
-    prepare_model(path, preset, cached, albedo=albedo)
-    return cached
-
-
-def cache_folder() -> Path:
-    """Where prepared models are kept: `prepared` in `$NEARFIELD_CACHE_DIR`, else in the user's cache."""
-    chosen = os.environ.get("NEARFIELD_CACHE_DIR")
-    if chosen:
-        return Path(chosen) / "prepared"
-    base = os.environ.get("XDG_CACHE_HOME")
-    return (Path(base) if base else Path.home() / ".cache") / "nearfield" / "prepared"
-
-
 def _encode(model: PreparedModel) -> bytes:
     writer = GlbWriter()
     document = writer.document

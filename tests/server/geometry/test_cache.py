@@ -132,11 +132,3 @@ def test_no_temporary_files_stay(room: RoomConfig, tmp_path: Path) -> None:
 def test_missing_model_is_an_asset_error(room: RoomConfig, tmp_path: Path) -> None:
     with pytest.raises(AssetError, match="no such file"):
         cache.load_or_build(replace(room, model_path=tmp_path / "none.glb"), cache_dir=tmp_path / "cache")
-
-
-def test_folder_comes_from_the_environment(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    monkeypatch.delenv("NEARFIELD_CACHE_DIR", raising=False)
-    assert cache.default_cache_dir() == tmp_path / "nearfield"
-    monkeypatch.setenv("NEARFIELD_CACHE_DIR", str(tmp_path / "own"))
-    assert cache.default_cache_dir() == tmp_path / "own"

@@ -18,7 +18,8 @@ from nearfield_server.scene.gltf import read_glb_chunks, write_glb
 from nearfield_server.scene.gltf_accessors import Buffers
 from nearfield_server.scene.model_source import load_source_model
 from nearfield_server.scene.prepare import prepare_model
-from nearfield_server.scene.prepared_model import ensure_prepared, load_prepared
+from nearfield_server.scene.prepared_cache import ensure_prepared
+from nearfield_server.scene.prepared_model import load_prepared
 
 
 def write_model(path, positions, faces, normals=None, *, albedo=(0.2, 0.4, 0.6), node=None):
