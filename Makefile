@@ -8,7 +8,8 @@ PORT ?= 8080
 WITH_ENV := PATH="$(CURDIR)/$(BIN):$$PATH"
 
 # Runtime: Python, OpenGL without a screen. Tests and `nearfield evaluate`: Chromium. Room generator: LLVM for Dr.Jit.
-DEBIAN_PACKAGES := python3 python3-venv libegl1 libgl1 chromium libllvm19 fonts-dejavu-core
+# libatomic1: the binaries inside the wheels of Playwright and Dr.Jit.
+DEBIAN_PACKAGES := python3 python3-venv libegl1 libgl1 chromium libllvm19 libatomic1 fonts-dejavu-core
 
 PYTHON_STAMP := $(VENV)/.installed
 NODE_STAMP := client_web/node_modules/.installed

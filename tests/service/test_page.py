@@ -27,6 +27,7 @@ from nearfield_protocol.codec import (
     paste_tiles,
 )
 from nearfield_protocol.session import ClientSession
+from nearfield_server.illumination.atlas_channel import STREAM_SIZE
 
 pytestmark = pytest.mark.service
 
@@ -47,7 +48,7 @@ class Tablet:
         self.light: LightPacket | None = None
         self.control: ControlState | None = None
         self.status: Status | None = None
-        self.atlas = np.zeros((256, 256), np.uint32)
+        self.atlas = np.zeros((STREAM_SIZE, STREAM_SIZE), np.uint32)
         self.num_tiles = 0
 
     def __enter__(self) -> Tablet:

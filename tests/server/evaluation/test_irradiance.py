@@ -108,10 +108,11 @@ def test_half_a_disc_behind_a_wall_gives_half_the_light():
     assert irradiance.visible_part(np.zeros((1, 3)), targets, caster)[0] == pytest.approx(0.5, abs=0.02)
 
 
-def test_disc_points_lie_on_the_disc_and_cover_it_evenly():
+def test_disc_points_cover_the_circle_within_the_square_of_the_same_second_moment():
     light = val([1, 2, 3], [0.6, 0, 0.8], 1.0, 0.5)[0]
     points = irradiance.disc_points(light, 1000) - np.array([1.0, 2.0, 3.0])
-    radius = np.sqrt(0.5 / np.pi)
+    # A disc of area A has the moment A / (2 pi) of a square of half side h where 2 h^2 / 3 = A / (2 pi): h = sqrt(3) / 2 radius.
+    radius = np.sqrt(3.0) / 2.0 * np.sqrt(0.5 / np.pi)
     assert np.abs(points @ np.array([0.6, 0, 0.8])).max() < 1e-6
     distance = np.linalg.norm(points, axis=1)
     assert distance.max() < radius
