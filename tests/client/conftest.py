@@ -182,7 +182,8 @@ class Harness:
 
 
 @pytest.fixture(scope="session")
-def harness_address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+def harness_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The harness, built once."""
     folder = tmp_path_factory.mktemp("harness")
     tools = Path(sys.executable).parent
     npx = shutil.which("npx", path=str(tools)) or shutil.which("npx")
@@ -197,7 +198,13 @@ def harness_address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
         text=True,
     )
     assert built.returncode == 0, built.stderr
-    handler = functools.partial(_QuietHandler, directory=str(folder))
+    return folder
+
+
+# Servers and browsers end with their module: a running driver keeps an event loop that other tests must not meet.
+@pytest.fixture(scope="module")
+def harness_address(harness_folder: Path) -> Iterator[str]:
+    handler = functools.partial(_QuietHandler, directory=str(harness_folder))
     with http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
         thread = threading.Thread(target=server.serve_forever)
         thread.start()
@@ -206,7 +213,7 @@ def harness_address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
         thread.join()
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
     sync_api = pytest.importorskip("playwright.sync_api")
     path = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
