@@ -106,6 +106,8 @@ def visit(browser: Browser) -> Iterator[Callable[[str], tuple[Page, list[str]]]]
         page.on("pageerror", lambda error: complaints.append(str(error)))
         page.goto(url)
         page.evaluate("window.nearfield.ready")
+        # Light that a test applies would be lost if the session began after it.
+        page.wait_for_function("window.nearfield.state().connection === 'live'")
         return page, complaints
 
     yield go
@@ -167,7 +169,6 @@ def test_live_page_draws_sends_and_survives_a_lost_context(
     service: Service, visit: Callable[..., Any]
 ) -> None:
     page, complaints = visit(service.url)
-    _until(page, lambda: page.evaluate("window.nearfield.state().connection") == "live")
     service.hub.publish_light(base64.b64decode(service.light(1.0)))
     page.evaluate("window.nearfield.waitForLight(1)")
     assert _brightness(page) > 10
