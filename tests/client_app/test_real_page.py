@@ -107,7 +107,7 @@ def visit(browser: Browser) -> Iterator[Callable[[str], tuple[Page, list[str]]]]
         page.goto(url)
         page.evaluate("window.nearfield.ready")
         # Light that a test applies would be lost if the session began after it.
-        page.wait_for_function("window.nearfield.state().connection === 'live'")
+        _until(page, lambda: page.evaluate("window.nearfield.state().connection") == "live")
         return page, complaints
 
     yield go
