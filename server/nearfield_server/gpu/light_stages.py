@@ -21,7 +21,7 @@ from nearfield_server.gpu.context import GlContext, open_context
 from nearfield_server.gpu.hidden_lamps import SHADERS as HIDDEN_SHADERS
 from nearfield_server.gpu.hidden_lamps import HiddenLamps
 from nearfield_server.gpu.programs import load_compute
-from nearfield_server.pipeline.auto_split import auto_threshold
+from nearfield_server.pipeline.auto_split import AutoSplit
 from nearfield_server.pipeline.blocks import NORMAL_SCALE, cluster_features, make_blocks
 from nearfield_server.pipeline.gather import frame_pointers, pack_gather_table
 from nearfield_server.pipeline.integration import ValSums, lights_from_sums
@@ -84,6 +84,7 @@ class GlBackend:
         self._settings = setup.settings
         self._pattern = stratified_pattern(setup.settings.num_samples, setup.settings.seed)
         self._threshold = np.full(3, np.inf, dtype=np.float32)
+        self._auto_split = AutoSplit()
         blocks = make_blocks(setup.texels)
         table = pack_gather_table(setup.table)
         self._position, self._normal = blocks.position, blocks.normal
@@ -290,7 +291,7 @@ class GlBackend:
                 uScale=scale,
             )
             histogram[channel] = self._read(self._histogram, np.uint32)
-        return auto_threshold(histogram, scale, self._total_area, self._threshold)
+        return self._auto_split.choose(histogram, scale, self._total_area)
 
     def _run(self, name: str, groups: int, buffers: Sequence[Any], **uniforms: object) -> None:
         program = self._programs[name]

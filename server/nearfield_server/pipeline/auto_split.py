@@ -24,6 +24,10 @@ _GAP: Final = 5
 """Half width of a gap in levels: a factor 1.24 to either side."""
 
 
+_NEW_LIGHT: Final = 0.03
+"""Relative change of sum L dA beyond which the light is another one; noise of the cameras averages to far less."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Limits:
     """What a cut must satisfy.
@@ -64,6 +68,29 @@ class _Levels:
     area_above: NDArray[np.float64]
     gap_energy: NDArray[np.float64]
     contrast: NDArray[np.float64]
+
+
+class AutoSplit:
+    """The threshold from update to update: steady under noise, chosen anew when the light of the room has changed."""
+
+    def __init__(self) -> None:
+        self._threshold = np.full(3, np.inf, dtype=np.float32)
+        self._chosen_at = np.zeros(3)
+
+    def choose(self, histogram: NDArray[np.int64], scale: float, total_area: float) -> NDArray[np.float32]:
+        """(3,) float32 threshold; arguments as for `auto_threshold`.
+
+        A channel whose total differs from that at which its threshold was chosen forgets it: a cut that was right with a
+        lamp off can lie among the surfaces that the lamp lights.
+        """
+        total = histogram.sum(axis=1).astype(np.float64) / scale
+        changed = np.abs(total - self._chosen_at) > _NEW_LIGHT * self._chosen_at
+        previous = np.where(changed, np.float32(np.inf), self._threshold).astype(np.float32)
+        threshold = auto_threshold(histogram, scale, total_area, previous)
+        anew = changed | (threshold != self._threshold)
+        self._chosen_at = np.where(anew, total, self._chosen_at)
+        self._threshold = threshold
+        return threshold
 
 
 def auto_threshold(

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nearfield_server.pipeline import gather as gather_stage
-from nearfield_server.pipeline.auto_split import auto_threshold
+from nearfield_server.pipeline.auto_split import AutoSplit
 from nearfield_server.pipeline.blocks import BlockPool, TexelBlocks, cluster_features, make_blocks
 from nearfield_server.pipeline.hidden_light import (
     HiddenLight,
@@ -90,6 +90,7 @@ class CpuBackend:
         self._radiance = np.zeros((self._blocks.num_texels, 3), dtype=np.float32)
         self._block_max = np.zeros((self._blocks.num_blocks, 3), dtype=np.float32)
         self._threshold = np.full(3, np.inf, dtype=np.float32)
+        self._auto_split = AutoSplit()
 
     def gather(self, frames: Sequence[NDArray[np.float16] | None]) -> None:
         """See `StageBackend`."""
@@ -121,7 +122,7 @@ class CpuBackend:
             histogram = radiance_histogram(
                 self._radiance, self._blocks.area, scale, self._blocks.num_blocks, self._pool
             )
-            self._threshold = auto_threshold(histogram, scale, self._total_area, self._threshold)
+            self._threshold = self._auto_split.choose(histogram, scale, self._total_area)
         return self._threshold
 
     def sample(self) -> NDArray[np.float64]:

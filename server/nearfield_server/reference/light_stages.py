@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from nearfield_server.pipeline.auto_split import auto_threshold
+from nearfield_server.pipeline.auto_split import AutoSplit
 from nearfield_server.pipeline.backend import BackendSetup
 from nearfield_server.pipeline.blocks import NORMAL_SCALE
 from nearfield_server.pipeline.integration import ValSums
@@ -130,6 +130,7 @@ class ReferenceBackend:
         self._setup = setup
         self._radiance = np.zeros((setup.texels.area.shape[0], 3))
         self._threshold = np.full(3, np.inf, dtype=np.float32)
+        self._auto_split = AutoSplit()
         self._shining = np.zeros(0 if setup.hidden is None else setup.hidden.num_groups, dtype=np.bool_)
 
     def gather(self, frames: Sequence[NDArray[np.float16] | None]) -> None:
@@ -158,7 +159,7 @@ class ReferenceBackend:
             for channel in range(3):
                 bins = np.ascontiguousarray(radiance[:, channel]).view(np.uint32) >> np.uint32(16)
                 np.add.at(histogram[channel], bins, energy[:, channel])
-            self._threshold = auto_threshold(histogram, scale, total_area, self._threshold)
+            self._threshold = self._auto_split.choose(histogram, scale, total_area)
         return self._threshold
 
     def sample(self) -> NDArray[np.float64]:

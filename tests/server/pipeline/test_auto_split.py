@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from nearfield_server.pipeline.auto_split import auto_threshold
+from nearfield_server.pipeline.auto_split import AutoSplit, auto_threshold
 from nearfield_server.pipeline.blocks import BlockPool
 from nearfield_server.pipeline.split import fixed_point_scale, radiance_histogram
 
@@ -102,6 +102,36 @@ def test_a_new_dimmer_lamp_lowers_the_threshold(pool: BlockPool) -> None:
     after, _, lamp = _room([(80.0, 0.005), (12.0, 0.02)])
     direct = after[:, 0] >= _auto(after, area, pool, previous)[0]
     np.testing.assert_array_equal(direct, lamp >= 0)
+
+
+def _choose(split: AutoSplit, radiance: np.ndarray, area: np.ndarray, pool: BlockPool) -> np.ndarray:
+    total_area = float(area.sum(dtype=np.float64))
+    scale = fixed_point_scale(float(radiance.max(initial=0.0)), total_area)
+    return split.choose(
+        radiance_histogram(radiance, area, scale, -(-area.size // 64), pool), scale, total_area
+    )
+
+
+def test_the_way_back_leads_to_the_same_threshold(pool: BlockPool) -> None:
+    """With the strong lamp off a lower cut is right; with the lamp on it would lie among the surfaces that it lights."""
+    dim, area, lamp = _room([(4.0, 0.02), (60.0, 0.01)])
+    bright = dim.copy()
+    dim[lamp == 1] = 0.2
+    dim[lamp < 0] *= 0.2
+    split = AutoSplit()
+    first = _choose(split, bright, area, pool)
+    assert (_choose(split, dim, area, pool) < first).all()
+    np.testing.assert_array_equal(_choose(split, bright, area, pool), first)
+
+
+def test_noise_never_makes_the_split_choose_anew(pool: BlockPool) -> None:
+    radiance, area, _ = _room([(50.0, 0.005), (12.0, 0.02)])
+    rng = np.random.default_rng(4)
+    split = AutoSplit()
+    first = _choose(split, radiance, area, pool)
+    for _ in range(20):
+        noisy = (radiance * (1.0 + 0.01 * rng.normal(size=radiance.shape))).astype(np.float32)
+        np.testing.assert_array_equal(_choose(split, noisy, area, pool), first)
 
 
 def test_switching_off_forgets_the_threshold(pool: BlockPool) -> None:
