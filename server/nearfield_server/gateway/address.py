@@ -43,22 +43,27 @@ def page_url(host: str, port: int) -> str:
 
 
 def describe_address(port: int, *, lan: bool = False, qr: bool = True) -> str:
-    """Lines for the terminal: where the page is, and with `lan` a QR code to scan.
+    """Lines for the terminal: where the page is, in words and as a QR code.
 
     The address on the network is named only when the service can be reached there.
     """
-    lines = [f"Nearfield is at {page_url('127.0.0.1', port)}"]
+    url = page_url("127.0.0.1", port)
+    lines = [f"Nearfield is at {url}"]
     if not lan:
         lines.append("Only this machine can open it; add --lan to let tablets in.")
-        return "\n".join(lines) + "\n"
+        return "\n".join([*lines, *_qr_lines(url, qr)]) + "\n"
     addresses = [address for address in lan_addresses() if ":" not in address] or list(lan_addresses())
     if not addresses:
         lines.append("This machine has no network address; connect it to a network to let tablets in.")
         return "\n".join(lines) + "\n"
     url = page_url(addresses[0], port)
     lines.append(f"Tablets in the same network: {url}")
-    if qr:
-        code = io.StringIO()
-        segno.make(url, error="m").terminal(code, compact=True)
-        lines.append(code.getvalue().rstrip("\n"))
-    return "\n".join(lines) + "\n"
+    return "\n".join([*lines, *_qr_lines(url, qr)]) + "\n"
+
+
+def _qr_lines(url: str, wanted: bool) -> list[str]:
+    if not wanted:
+        return []
+    code = io.StringIO()
+    segno.make(url, error="m").terminal(code, compact=True)
+    return [code.getvalue().rstrip("\n")]

@@ -13,6 +13,7 @@ def test_loopback_names_no_network_address() -> None:
     text = address.describe_address(8080)
     assert "http://127.0.0.1:8080/" in text
     assert "--lan" in text
+    assert len(text.splitlines()) > 10, "the QR code is missing"
     assert "Tablets" not in text
 
 
