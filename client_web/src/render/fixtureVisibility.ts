@@ -4,7 +4,7 @@
  * A blocker close to a light hides part of its disc from everywhere, with a penumbra wider than any shadow map can filter. Seen from an
  * object its effect is nearly constant, so a few rays per VAL and object find it. Blockers farther away are left to the shadow maps.
  */
-import { facingIrradiance } from '../radiometry/valLight'
+import { FLOATS_PER_VAL } from '../radiometry/valLight'
 import { castRay, type Triangles } from './rayMesh'
 import { add, cross, dot, length, normalize, scale, subtract, type Vec3 } from './vector'
 
@@ -62,11 +62,9 @@ export function isHiddenBeyondFixture(
   return castRay(room, start, scale(way, 1 - from), true, 1) !== null
 }
 
-/** The disc of a slot, or null when it gives the point no light. */
-export function discOf(vals: ArrayLike<number>, base: number, slot: number, target: Vec3): Disc | null {
-  const { irradiance } = facingIrradiance(vals, slot, target)
-  if (Math.max(...irradiance) <= 0) return null
-  const at = (offset: number): number => vals[base + offset] ?? 0
+/** The disc of a slot. */
+export function discOf(vals: ArrayLike<number>, slot: number): Disc {
+  const at = (offset: number): number => vals[slot * FLOATS_PER_VAL + offset] ?? 0
   return {
     position: [at(0), at(1), at(2)],
     normal: [at(4), at(5), at(6)],

@@ -1,6 +1,6 @@
 /** Per-object light: sh_coeffs in object axes, with and without the VALs. */
 import { rotateSh } from '../radiometry/sh'
-import { FLOATS_PER_VAL, MAX_VALS, projectVals } from '../radiometry/valLight'
+import { MAX_VALS, projectVals } from '../radiometry/valLight'
 import { discOf, fixtureVisibility, isHiddenBeyondFixture } from './fixtureVisibility'
 import { boundsOf, groundContact } from './groundContact'
 import { type ObjectState, worldCentre } from './objectData'
@@ -31,8 +31,8 @@ export function lightObject(
   const useRays = room.indices.length <= 3 * MAX_RAY_TRIANGLES
   const openShare = new Float32Array(MAX_VALS).fill(1)
   const fromVals = projectVals(light.vals, light.count, centre, (slot) => {
-    const disc = useRays ? discOf(light.vals, slot * FLOATS_PER_VAL, slot, centre) : null
-    if (!disc) return 1
+    if (!useRays) return 1
+    const disc = discOf(light.vals, slot)
     const open = fixtureVisibility(disc, centre, asset.radius, room)
     openShare[slot] = open
     return open > 0 && isHiddenBeyondFixture(disc, centre, asset.radius, room) ? 0 : open
