@@ -1,0 +1,119 @@
+"""Rooms to measure on: a box in closed form, or an evaluation bundle."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nearfield_server.pipeline.hidden_light import HiddenLight
+from nearfield_server.pipeline.probes import ProbeTracer
+from nearfield_server.records import (
+    CameraFrame,
+    GatherTable,
+    ObjectPose,
+    RoomMesh,
+    TexelGeometry,
+    UnseenFill,
+)
+from nearfield_server.reference.box_room import lamp_field, make_box_room
+
+_NUM_OBJECTS: Final = 3
+_NOISE: Final = 0.01
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Scenario:
+    """What is measured: a room, its probes and pictures of all its cameras."""
+
+    name: str
+    mesh: RoomMesh
+    texels: TexelGeometry
+    table: GatherTable
+    probes: ProbeTracer
+    pictures: tuple[NDArray[np.float16], ...]
+    objects: tuple[ObjectPose, ...]
+    unseen_fill: UnseenFill | None = None
+    hidden_light: HiddenLight | None = None
+
+
+def noisy_frames(scenario: Scenario, seed: int) -> tuple[CameraFrame, ...]:
+    """The pictures with one per cent of noise, so that every stage has real work."""
+    rng = np.random.default_rng(seed)
+    frames = []
+    for index, picture in enumerate(scenario.pictures):
+        pixels = picture.copy()
+        gain = rng.normal(1.0, _NOISE, (*pixels.shape[:2], 1)).astype(np.float32)
+        pixels[..., :3] = np.clip(pixels[..., :3].astype(np.float32) * gain, 0.0, 65504.0)
+        frames.append(
+            CameraFrame(camera_index=index, sequence=0, content_revision=0, timestamp_ns=0, pixels=pixels)
+        )
+    return tuple(frames)
+
+
+def _objects(low: NDArray[np.float64], high: NDArray[np.float64]) -> tuple[ObjectPose, ...]:
+    """Three objects along the diagonal of the room's box, a third of its height above the floor."""
+    objects = []
+    for index in range(_NUM_OBJECTS):
+        world_from_object = np.eye(4)
+        world_from_object[:3, 3] = low + (high - low) * [0.3 + 0.2 * index, 0.33, 0.3 + 0.2 * index]
+        objects.append(
+            ObjectPose(
+                object_index=index,
+                revision=1,
+                world_from_object=world_from_object,
+                centre_object=np.zeros(3),
+                radius=0.15,
+            )
+        )
+    return tuple(objects)
+
+
+def box_scenario(size: int) -> Scenario:
+    """A box room in closed form with a lamp and a window; `size` is the edge of the atlas and of every picture."""
+    room = make_box_room(atlas_size=size, camera_size=size)
+    lamp = (3, (0.5, 0.5), (0.1, 0.1), (40.0, 38.0, 30.0))
+    window = (0, (0.5, 0.6), (0.1, 0.2), (10.0, 12.0, 15.0))
+    field = lamp_field(room, (lamp, window))
+    return Scenario(
+        name="box room",
+        mesh=room.mesh(),
+        texels=room.texels,
+        table=room.table,
+        probes=room,
+        pictures=tuple(room.picture(index, field) for index in range(len(room.cameras))),
+        objects=_objects(np.zeros(3), room.size),
+    )
+
+
+def bundle_scenario(folder: Path) -> Scenario:
+    """The room of an evaluation bundle, its lamps at nominal weight.
+
+    Raises:
+        AssetError: the bundle is broken.
+    """
+    # Geometry and evaluation bring ray tracing and image libraries; the box room does without.
+    from nearfield_server.evaluation.light_run import camera_frames
+    from nearfield_server.geometry.cache import load_or_build
+    from nearfield_server.geometry.probes import ProbeRays
+    from nearfield_server.scene.bundle import load_bundle
+    from nearfield_server.scene.room_config import room_from_bundle
+
+    bundle = load_bundle(folder)
+    room = room_from_bundle(bundle)
+    mesh, texels, table, fill, hidden = load_or_build(room)
+    frames, _ = camera_frames(bundle, np.ones(len(room.lights)))
+    return Scenario(
+        name=room.name,
+        mesh=mesh,
+        texels=texels,
+        table=table,
+        probes=ProbeRays(mesh, texels),
+        pictures=tuple(frame.pixels for frame in frames),
+        objects=_objects(mesh.positions.min(axis=0), mesh.positions.max(axis=0)),
+        unseen_fill=fill,
+        hidden_light=hidden,
+    )
