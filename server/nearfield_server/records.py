@@ -6,6 +6,7 @@ Arrays are C-contiguous and are not written to after construction. Frames, units
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -129,6 +130,10 @@ class TabletView:
     background_files: tuple[str, ...] = ()
 
 
+FRAME_TILE: Final = 32
+"""Side of a tile of a camera picture, pixels: the unit in which changes of a picture are told."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CameraFrame:
     """One linear HDR picture of one camera, already clean (finite, 0 <= value <= 65504).
@@ -139,6 +144,8 @@ class CameraFrame:
         content_revision: equal for two frames of one camera only if their pixels are equal; lets stages be skipped.
         timestamp_ns: capture time, CLOCK_MONOTONIC of the capturing host.
         pixels: (H, W, 4) float16 relative or absolute radiance; alpha 1 = valid, 0 = invalid or outside the image circle.
+        tile_revisions: (ceil(H / FRAME_TILE), ceil(W / FRAME_TILE)) int64; equal for two frames of one camera only if the pixels of
+            that tile are equal. None: any pixel may differ.
     """
 
     camera_index: int
@@ -146,6 +153,7 @@ class CameraFrame:
     content_revision: int
     timestamp_ns: int
     pixels: NDArray[np.float16]
+    tile_revisions: NDArray[np.int64] | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
