@@ -18,7 +18,7 @@ CLIENT_SOURCES := $(shell find client_web/src client_web/index.html client_web/p
 	client_web/vite.config.ts client_web/tsconfig.json
 
 .DEFAULT_GOAL := help
-.PHONY: help setup debian demo test lint unit browser lock clean
+.PHONY: help setup debian demo test bench lint unit browser lock clean
 
 help:  ## show this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -51,6 +51,9 @@ demo: setup  ## start the service on the embedded virtual lab and print its addr
 	exec $(BIN)/nearfield demo --port $(PORT)
 
 test: setup lint unit  ## everything that CI runs
+
+bench: setup  ## run time against error of every method, on this machine: writes out/bench (about 40 minutes)
+	$(BIN)/nearfield bench --out out/bench
 
 lint: $(PYTHON_STAMP) $(NODE_STAMP)  ## style, types, layering, generated files
 	$(BIN)/ruff format --check .

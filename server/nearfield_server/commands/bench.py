@@ -1,71 +1,78 @@
-"""`nearfield bench`: what every stage of the light pipeline costs, next to plain numpy and to memory bandwidth."""
+"""`nearfield bench`: run time against error, next to the methods of the papers and to other renderers."""
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 from rich.console import Console
-from rich.table import Table
 
-from nearfield_server.benchmark.scenario import box_scenario, bundle_scenario
-from nearfield_server.benchmark.server_times import measure
-from nearfield_server.errors import AssetError
+from nearfield_server.benchmark.assembly import failed_parts, run_parts
+from nearfield_server.benchmark.parts import PARTS, BenchSetup
+from nearfield_server.benchmark.summary import summary
 from nearfield_server.pipeline.runner import BackendName
-from nearfield_server.records import LightSettings
+
+EMBEDDED_BUNDLE = Path(__file__).parents[1] / "rooms" / "lab"
 
 
 def bench(
-    out: Annotated[Path, typer.Option("--out", help="Folder for bench.json.")],
-    room: Annotated[
-        Path | None, typer.Option(help="Evaluation bundle; default: a box room in closed form.")
+    out: Annotated[Path, typer.Option("--out", help="Folder for bench.json, the page and the plots.")],
+    bundles: Annotated[
+        list[Path] | None,
+        typer.Argument(metavar="[BUNDLE]...", help="Further bundles with path-traced truth."),
     ] = None,
-    rounds: Annotated[int, typer.Option(min=1, help="Interleaved rounds.")] = 15,
-    backend: Annotated[str, typer.Option(help="auto, cpu or gl.")] = "auto",
-    vals: Annotated[int, typer.Option(min=1, max=64, help="Slots for virtual area lights.")] = 16,
-    ratio: Annotated[
-        float | None, typer.Option(help="Fixed share of direct light; default: from the atlas.")
+    quick: Annotated[
+        bool, typer.Option("--quick", help="Under ten minutes: fewer rounds, views, light counts and frames.")
+    ] = False,
+    only: Annotated[
+        list[str] | None, typer.Option("--only", help=f"Run this part alone, repeatable: {', '.join(PARTS)}.")
     ] = None,
-    quick: Annotated[bool, typer.Option("--quick", help="Small atlas and pictures, few rounds.")] = False,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Keep what an interrupted run in the same folder finished.")
+    ] = False,
+    backend: Annotated[str, typer.Option(help="Of the light pipeline: auto, cpu or gl.")] = "auto",
+    lab: Annotated[
+        bool, typer.Option("--lab/--no-lab", help="Take part with the bundle that comes with Nearfield.")
+    ] = True,
+    tiny: Annotated[
+        bool,
+        typer.Option("--tiny", help="Smallest form, to prove that it works; its figures say nothing."),
+    ] = False,
 ) -> None:
-    """Measure the light pipeline and write bench.json."""
-    if backend not in ("auto", "cpu", "gl"):
-        raise typer.BadParameter(f"expected auto, cpu or gl, found {backend!r}", param_hint="--backend")
-    size = 256 if quick else 1024
-    console = Console()
-    scenario = box_scenario(size) if room is None else bundle_scenario(room)
-    settings = LightSettings(num_vals=vals, split_ratio=ratio)
-    name: BackendName = "cpu" if backend == "cpu" else "gl" if backend == "gl" else "auto"
-    report = measure(scenario, settings, name, min(rounds, 5) if quick else rounds)
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-        (out / "bench.json").write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise AssetError(f"{out}: cannot write bench.json: {error.strerror}; choose another --out") from error
-    console.print(_table(report))
+    """Measure server, client, every method, growth and latency; write bench.json after each part."""
+    console = Console(stderr=True)
+    names = _chosen_parts(only)
+    setup = BenchSetup(
+        quick=quick or tiny,
+        tiny=tiny,
+        bundles=((EMBEDDED_BUNDLE,) if lab else ()) + tuple(path.resolve() for path in bundles or ()),
+        backend=_backend(backend),
+        out=out,
+        say=lambda text: console.print(text, highlight=False),
+    )
+    report = run_parts(setup, names, resume=resume)
+    console.print(summary(report))
     console.print(f"{out / 'bench.json'}", highlight=False)
+    failed = failed_parts(report, names)
+    for name, reason in failed.items():
+        console.print(f"{name} failed: {reason}", highlight=False, style="red")
+    if failed:
+        raise typer.Exit(3)
 
 
-def _table(report: dict[str, Any]) -> Table:
-    scene = report["scene"]
-    title = f"{scene['name']}: {scene['texels']} texels, {scene['pairs']} pairs, {report['backend']}"
-    table = Table(title=title)
-    for heading in ("stage", "wall ms", "CPU ms", "x copy of 67 MB", "numpy CPU ms", "x faster"):
-        table.add_column(heading, justify="left" if heading == "stage" else "right")
-    rows = [
-        *report["stages"].items(),
-        ("whole update", report["update"]),
-        ("object moved", report["object_moved"]),
-    ]
-    for name, row in rows:
-        if row:
-            values = (
-                row[k] for k in ("wall_ms", "cpu_ms", "copies", "numpy_cpu_ms", "times_faster_than_numpy")
-            )
-            table.add_row(name, *("-" if value is None else f"{value:.2f}" for value in values))
-    copy = report["copy_67_mb"]
-    table.add_row("copy of 67 MB", f"{copy['wall_ms']:.2f}", f"{copy['cpu_ms']:.2f}", "1.00", "-", "-")
-    table.add_row("unchanged update", f"{report['unchanged_us'] * 1e-3:.5f}", "-", "-", "-", "-")
-    return table
+def _chosen_parts(only: list[str] | None) -> tuple[str, ...]:
+    unknown = [name for name in only or [] if name not in PARTS]
+    if unknown:
+        raise typer.BadParameter(f"expected {', '.join(PARTS)}, found {unknown[0]!r}", param_hint="--only")
+    return tuple(name for name in PARTS if not only or name in only)
+
+
+def _backend(name: str) -> BackendName:
+    if name == "cpu":
+        return "cpu"
+    if name == "gl":
+        return "gl"
+    if name == "auto":
+        return "auto"
+    raise typer.BadParameter(f"expected auto, cpu or gl, found {name!r}", param_hint="--backend")

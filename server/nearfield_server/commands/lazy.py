@@ -36,7 +36,9 @@ COMMANDS: dict[str, CommandEntry] = {
         "evaluate",
         "Compare a bundle's truth with what Nearfield shows.",
     ),
-    "bench": CommandEntry("nearfield_server.commands.bench", "bench", "Measure the light pipeline."),
+    "bench": CommandEntry(
+        "nearfield_server.commands.bench", "bench", "Measure run time against error of every method."
+    ),
     "lab": CommandEntry(
         "nearfield_server.virtual_lab.cli", "app", "Make path-traced rooms with known truth."
     ),

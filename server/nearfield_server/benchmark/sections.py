@@ -1,0 +1,46 @@
+"""Sections of bench.json that other modules measure: what they are given, and which of their figures stand for the section."""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+from nearfield_server.benchmark.parts import BenchSetup
+from nearfield_server.benchmark.scenario import box_scenario
+from nearfield_server.benchmark.server_times import measure
+from nearfield_server.errors import ServiceError
+from nearfield_server.records import LightSettings
+
+_SERVER_SIZE: Final = 1024
+_TINY_SIZE: Final = 48
+_ROUNDS: Final = 15
+_QUICK_ROUNDS: Final = 5
+
+
+def server_section(setup: BenchSetup) -> dict[str, Any]:
+    """The light pipeline at 1024^2 with four cameras of 1024^2, 16 VALs and three objects, also in quick runs."""
+    scenario = box_scenario(_TINY_SIZE if setup.tiny else _SERVER_SIZE)
+    settings = LightSettings(num_vals=16, num_samples=256 if setup.tiny else LightSettings().num_samples)
+    rounds = 2 if setup.tiny else _QUICK_ROUNDS if setup.quick else _ROUNDS
+    report = measure(scenario, settings, setup.backend, rounds)
+    ratios = {
+        "update_over_copy": report["update"]["copies"],
+        "numpy_over_update": report["update"]["times_faster_than_numpy"],
+        "unchanged_over_full": report["unchanged_share_of_update"],
+        "stage_cpu_ms": {name: row["cpu_ms"] for name, row in report["stages"].items() if row},
+    }
+    return ratios | report
+
+
+def client_section(setup: BenchSetup) -> dict[str, Any]:
+    """Frames of the client next to three.js and PlayCanvas."""
+    raise ServiceError("the client's frame times are not measured by this build")
+
+
+def growth_section(setup: BenchSetup) -> dict[str, Any]:
+    """Cost against the size of everything."""
+    raise ServiceError("growth is not measured by this build")
+
+
+def latency_section(setup: BenchSetup) -> dict[str, Any]:
+    """From a captured frame to the packet sent, and to the pixel."""
+    raise ServiceError("latency is not measured by this build")
