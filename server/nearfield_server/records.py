@@ -196,13 +196,26 @@ class LightSettings:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StageReport:
-    """What one stage did in one update: ran or skipped, why, and its time in milliseconds (wall and CPU; 0 when skipped)."""
+    """What one stage did in one update.
+
+    Attributes:
+        name: of the stage.
+        ran: False where it was skipped.
+        reason: why it ran or was skipped, in words.
+        wall_ms: time it took, 0 when skipped. cpu_ms: the same of all threads.
+        part: share of the stage's whole work that was done, in [0, 1]: 0 skipped, 1 everything, between them only what had changed.
+        saved_ms: CPU time that skipping saved, estimated from the mean of this stage's own whole runs; 0 until there was one.
+        error_bound: largest relative error of the result that skipping can have caused; 0 where the result is bit for bit the same.
+    """
 
     name: str
     ran: bool
     reason: str
     wall_ms: float
     cpu_ms: float
+    part: float = 1.0
+    saved_ms: float = 0.0
+    error_bound: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -246,6 +246,17 @@ def test_times_come_from_the_clocks_passed_in(
     assert {stage.cpu_ms for stage in update.stages} == {1000.0}
 
 
+def test_skipped_stages_tell_what_they_saved(
+    room: BoxRoom, two_lamps: RadianceField, poses: list[ObjectPose]
+) -> None:
+    pipeline = _pipeline(room, wall_clock=Ticks(), cpu_clock=Ticks())
+    frames = _frames(room, two_lamps)
+    first = pipeline.update(frames, poses)
+    assert {(stage.part, stage.saved_ms) for stage in first.stages} == {(1.0, 0.0)}
+    again = pipeline.update(frames, poses)
+    assert {(stage.part, stage.saved_ms, stage.error_bound) for stage in again.stages} == {(0.0, 1000.0, 0.0)}
+
+
 def test_a_failed_update_is_made_up_for(
     room: BoxRoom, two_lamps: RadianceField, poses: list[ObjectPose]
 ) -> None:
