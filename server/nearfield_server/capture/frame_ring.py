@@ -1,162 +1,49 @@
 """Frame ring: one writer process hands pictures to any number of reader processes through a memfd.
 
 The supervisor makes the memory and owns it; the file descriptor is inherited by the writer and the readers. So a process that is
-killed at any moment leaks nothing, and a restarted one finds its ring again.
-
-Layout (little endian): one page of `RING_HEADER`, then `slot_count` slots, each one page of `SLOT_HEADER` and the pixels, whole pages.
+killed at any moment leaks nothing, and a restarted one finds its ring again. What lies where: `ring_memory`.
 
 - The writer never waits: it overwrites the oldest slot (drop-oldest). A reader never waits: it takes the newest whole frame.
 - `lock` of a slot is a sequence lock: odd while the slot is written. A writer killed in the middle leaves it odd, so that readers keep
   the frame before; the next writer takes the same slot again. `newest_sequence` moves only after a slot is whole.
 - `generation` counts writers; it is the upper part of `content_revision`, so revisions of a restarted camera never repeat old ones.
+- The revision of a tile is the content revision of the frame that changed it last. Being no flag, it tells readers that skip frames all
+  that changed since the frame they took last, and a restarted writer goes on from the picture that it finds in the ring.
 """
 
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import mmap
 import os
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from nearfield_server.capture.fence import full_fence
+from nearfield_server.capture.ring_memory import (
+    COUNTER_NAMES,
+    PAGE,
+    RING_HEADER,
+    SLOT_HEADER,
+    RingShape,
+    read_shape,
+)
 from nearfield_server.errors import FrameRingError
 from nearfield_server.records import CameraFrame
 
-MAGIC = b"NFRAMES\x00"
-LAYOUT_VERSION = 1
-PAGE = 4096
-DEFAULT_SLOTS = 4
-COUNTER_NAMES = ("nan", "infinite", "negative", "above_range", "saturated")
 _GENERATION_SHIFT = 40  # 2^40 frames per writer are a thousand years at 30 Hz
 _READ_ATTEMPTS = 8
-
-RING_HEADER = np.dtype(
-    [
-        ("magic", "S8"),
-        ("layout_version", "<u4"),
-        ("slot_count", "<u4"),
-        ("dtype", "S8"),
-        ("height", "<u4"),
-        ("width", "<u4"),
-        ("channels", "<u4"),
-        ("reserved", "<u4"),
-        ("slot_stride", "<u8"),
-        ("generation", "<u8"),
-        ("newest_sequence", "<u8"),
-        ("confirmed_ns", "<i8"),
-    ]
-)
-SLOT_HEADER = np.dtype(
-    [
-        ("lock", "<u8"),
-        ("sequence", "<u8"),
-        ("content_revision", "<u8"),
-        ("timestamp_ns", "<i8"),
-        ("counters", "<u8", (len(COUNTER_NAMES),)),
-    ]
-)
-
-
-@dataclass(frozen=True, slots=True)
-class RingShape:
-    """What a ring holds: pictures (height, width, 4) float16, `slot_count` of them."""
-
-    height: int
-    width: int
-    slot_count: int = DEFAULT_SLOTS
-
-    @property
-    def frame_bytes(self) -> int:
-        """Bytes of one picture."""
-        return self.height * self.width * 4 * 2
-
-    @property
-    def slot_stride(self) -> int:
-        """Bytes from one slot to the next: a header page and whole pages of pixels."""
-        return PAGE + -(-self.frame_bytes // PAGE) * PAGE
-
-    @property
-    def total_bytes(self) -> int:
-        """Bytes of the whole ring."""
-        return PAGE + self.slot_count * self.slot_stride
-
-
-def _available_memory() -> int:
-    with open("/proc/meminfo", encoding="ascii") as file:
-        for line in file:
-            if line.startswith("MemAvailable:"):
-                return int(line.split()[1]) * 1024
-    raise FrameRingError(
-        "/proc/meminfo has no line MemAvailable; cannot tell whether a frame ring fits into memory"
-    )
-
-
-def create_ring(name: str, shape: RingShape) -> int:
-    """Make the memory of a ring, reserved in full and sealed against resizing.
-
-    Args:
-        name: shown in /proc/<pid>/fd for debugging.
-        shape: size of the pictures and number of slots.
-
-    Returns:
-        The file descriptor (close-on-exec; pass it on with `subprocess` `pass_fds`). The memory lives as long as any process has it open.
-
-    Raises:
-        FrameRingError: the shape is impossible or there is not enough memory.
-    """
-    if (
-        min(shape.height, shape.width) < 1
-        or max(shape.height, shape.width) > 16384
-        or not 2 <= shape.slot_count <= 64
-    ):
-        raise FrameRingError(
-            f"frame ring '{name}': {shape.width}x{shape.height} with {shape.slot_count} slots is impossible; "
-            "expected sides of 1 to 16384 pixels and 2 to 64 slots"
-        )
-    # memfd has no size limit of its own: asking for too much would wake the out-of-memory killer instead of failing.
-    available = _available_memory()
-    if shape.total_bytes > 0.8 * available:
-        raise FrameRingError(
-            f"frame ring '{name}' needs {shape.total_bytes / 1e6:.0f} MB, but only {available / 1e6:.0f} MB are free; "
-            "use fewer or smaller cameras, or free memory"
-        )
-    fd = os.memfd_create(f"nearfield-{name}", os.MFD_CLOEXEC | os.MFD_ALLOW_SEALING)
-    try:
-        # Reserved now, so that a full machine gives this error and not SIGBUS in the middle of a frame.
-        os.posix_fallocate(fd, 0, shape.total_bytes)
-        header = np.zeros(1, RING_HEADER)
-        header["magic"] = MAGIC
-        header["layout_version"] = LAYOUT_VERSION
-        header["slot_count"] = shape.slot_count
-        header["dtype"] = b"<f2"
-        header["height"], header["width"], header["channels"] = shape.height, shape.width, 4
-        header["slot_stride"] = shape.slot_stride
-        os.pwrite(fd, header.tobytes(), 0)
-        fcntl.fcntl(fd, fcntl.F_ADD_SEALS, fcntl.F_SEAL_SHRINK | fcntl.F_SEAL_GROW | fcntl.F_SEAL_SEAL)
-    except OSError as error:
-        os.close(fd)
-        raise FrameRingError(
-            f"frame ring '{name}': cannot reserve {shape.total_bytes / 1e6:.0f} MB of shared memory ({error.strerror}); "
-            "use fewer or smaller cameras, or free memory"
-        ) from error
-    return fd
 
 
 class _Ring:
     """A mapped and verified ring; the common part of writer and reader."""
 
     def __init__(self, fd: int, name: str, expected: RingShape | None, access: int) -> None:
-        from nearfield_server.capture.fence import (
-            full_fence,
-        )  # numba: not needed by those who only make rings
-
         self.name = name
-        self._fence = full_fence
         size = self._file_size(fd)
         if size < PAGE:
             raise FrameRingError(
@@ -166,7 +53,7 @@ class _Ring:
         header: NDArray[Any] = np.frombuffer(self._map, RING_HEADER, count=1)
         self._header = header
         try:
-            self.shape = self._verified_shape(size, expected)
+            self.shape = read_shape(header[0], size, name, expected)
         except FrameRingError:
             self._close_map()
             raise
@@ -177,9 +64,14 @@ class _Ring:
         ]
         count = self.shape.height * self.shape.width * 4
         self._pixels: list[NDArray[np.float16]] = [
-            np.frombuffer(self._map, np.float16, count=count, offset=o + PAGE).reshape(
+            np.frombuffer(self._map, np.float16, count=count, offset=o + self.shape.pixel_offset).reshape(
                 self.shape.height, self.shape.width, 4
             )
+            for o in offsets
+        ]
+        rows, columns = self.shape.tile_grid
+        self._tiles: list[NDArray[np.int64]] = [
+            np.frombuffer(self._map, np.int64, count=rows * columns, offset=o + PAGE).reshape(rows, columns)
             for o in offsets
         ]
 
@@ -191,47 +83,38 @@ class _Ring:
                 f"frame ring '{self.name}': file descriptor {fd} is not open ({error.strerror}); it must be inherited from the supervisor"
             ) from error
 
-    def _verified_shape(self, size: int, expected: RingShape | None) -> RingShape:
-        header = self._header[0]
-        if bytes(header["magic"]) != MAGIC.rstrip(b"\x00"):
-            raise FrameRingError(
-                f"frame ring '{self.name}': no frame ring (magic {bytes(header['magic'])!r}, expected {MAGIC!r})"
-            )
-        if header["layout_version"] != LAYOUT_VERSION:
-            raise FrameRingError(
-                f"frame ring '{self.name}': layout version {header['layout_version']}, expected {LAYOUT_VERSION}; "
-                "writer and reader are of different releases"
-            )
-        if bytes(header["dtype"]) != b"<f2" or header["channels"] != 4:
-            raise FrameRingError(
-                f"frame ring '{self.name}': {header['channels']} channels of {bytes(header['dtype'])!r}, expected 4 of b'<f2'"
-            )
-        shape = RingShape(int(header["height"]), int(header["width"]), int(header["slot_count"]))
-        if expected is not None and (shape.height, shape.width) != (expected.height, expected.width):
-            raise FrameRingError(
-                f"frame ring '{self.name}' holds {shape.width}x{shape.height} pixels, "
-                f"expected {expected.width}x{expected.height}; the ring belongs to another camera"
-            )
-        if (
-            int(header["slot_stride"]) != shape.slot_stride
-            or shape.slot_count < 2
-            or size != shape.total_bytes
-        ):
-            raise FrameRingError(
-                f"frame ring '{self.name}': {size} bytes with slots of {int(header['slot_stride'])}, "
-                f"expected {shape.total_bytes} with slots of {shape.slot_stride} for {shape}"
-            )
-        return shape
-
     def close(self) -> None:
         """Unmap the memory. The file descriptor stays with its owner; views given out earlier keep the mapping alive."""
-        self._slots, self._pixels = [], []
+        self._slots, self._pixels, self._tiles = [], [], []
         self._header = np.zeros(1, RING_HEADER)
         self._close_map()
 
     def _close_map(self) -> None:
         with contextlib.suppress(BufferError):  # a view is still in use: the mapping goes with it
             self._map.close()
+
+
+def _read_only(pixels: NDArray[np.float16]) -> NDArray[np.float16]:
+    view = pixels.view()
+    view.flags.writeable = False
+    return view
+
+
+@dataclass(frozen=True, slots=True)
+class FrameDraft:
+    """A frame that is being written.
+
+    Attributes:
+        pixels: (height, width, 4) float16; to be filled completely.
+        counters: (5,) uint64 in the order of `COUNTER_NAMES`; to be filled completely.
+        changed: (rows, columns) bool of the tiles, True at first; a tile may be cleared if its pixels are those of `previous`, bit for bit.
+        previous: (height, width, 4) float16, pixels of the newest frame, read-only; None before the first frame.
+    """
+
+    pixels: NDArray[np.float16]
+    counters: NDArray[np.uint64]
+    changed: NDArray[np.bool_]
+    previous: NDArray[np.float16] | None
 
 
 class FrameRingWriter(_Ring):
@@ -252,32 +135,43 @@ class FrameRingWriter(_Ring):
         return int(self._header["newest_sequence"][0])
 
     @contextlib.contextmanager
-    def write(
-        self, content_revision: int, timestamp_ns: int
-    ) -> Iterator[tuple[NDArray[np.float16], NDArray[np.uint64]]]:
-        """Write one frame in place.
+    def write(self, content_revision: int, timestamp_ns: int) -> Iterator[FrameDraft]:
+        """Write one frame in place. A frame without any changed tile is not published: the newest one is confirmed instead.
 
         Args:
             content_revision: revision of the picture within this writer's life, below 2^40; must differ whenever the pixels do.
             timestamp_ns: capture time, CLOCK_MONOTONIC.
 
         Yields:
-            (pixels (height, width, 4) float16, counters (5,) uint64 in the order of `COUNTER_NAMES`): both must be filled completely.
-            If the body raises, the slot stays marked as torn and the previous frame stays the newest.
+            What must be filled. If the body raises, the slot stays marked as torn and the previous frame stays the newest.
         """
-        sequence = self.newest_sequence + 1
+        newest = self.newest_sequence
+        sequence = newest + 1
         index = sequence % self.shape.slot_count
         slot = self._slots[index]
         lock = int(slot["lock"][0])
         slot["lock"] = lock + (2 if lock % 2 else 1)
-        self._fence()
+        full_fence()
+        last = newest % self.shape.slot_count
+        draft = FrameDraft(
+            pixels=self._pixels[index],
+            counters=slot["counters"][0],
+            changed=np.ones(self.shape.tile_grid, np.bool_),
+            previous=_read_only(self._pixels[last]) if newest else None,
+        )
+        yield draft
+        if not draft.changed.any():
+            # The slot stays marked as torn and is the next one to be written.
+            self.confirm(timestamp_ns)
+            return
+        revision = (self.generation << _GENERATION_SHIFT) | content_revision
         slot["sequence"] = sequence
-        slot["content_revision"] = (self.generation << _GENERATION_SHIFT) | content_revision
+        slot["content_revision"] = revision
         slot["timestamp_ns"] = timestamp_ns
-        yield self._pixels[index], slot["counters"][0]
-        self._fence()
+        self._tiles[index][...] = np.where(draft.changed, revision, self._tiles[last])
+        full_fence()
         slot["lock"] += 1
-        self._fence()
+        full_fence()
         self._header["newest_sequence"] = sequence
         self._header["confirmed_ns"] = timestamp_ns
 
@@ -296,6 +190,7 @@ class FrameView:
         timestamp_ns: capture time, CLOCK_MONOTONIC.
         confirmed_ns: last time the camera said that the picture still holds; age is measured from here.
         counters: what ingest found in this frame, by `COUNTER_NAMES`.
+        tile_revisions: (rows, columns) int64, a copy; see `CameraFrame`.
         pixels: (height, width, 4) float16, read-only.
     """
 
@@ -304,6 +199,7 @@ class FrameView:
     timestamp_ns: int
     confirmed_ns: int
     counters: dict[str, int]
+    tile_revisions: NDArray[np.int64]
     pixels: NDArray[np.float16]
     _ring: FrameRingReader
     _slot: int
@@ -312,6 +208,17 @@ class FrameView:
     def still_valid(self) -> bool:
         """Whether the writer left the slot alone since the view was made."""
         return self._ring.lock_is(self._slot, self._lock)
+
+    def as_frame(self, camera_index: int) -> CameraFrame:
+        """The frame as stages take it, its pixels still in shared memory."""
+        return CameraFrame(
+            camera_index=camera_index,
+            sequence=self.sequence,
+            content_revision=self.content_revision,
+            timestamp_ns=self.timestamp_ns,
+            pixels=self.pixels,
+            tile_revisions=self.tile_revisions,
+        )
 
 
 class FrameRingReader(_Ring):
@@ -336,7 +243,7 @@ class FrameRingReader(_Ring):
 
     def lock_is(self, slot: int, lock: int) -> bool:
         """Whether the lock of a slot still has this value; everything read before the call is then whole."""
-        self._fence()
+        full_fence()
         return int(self._slots[slot]["lock"][0]) == lock
 
     def newest(self) -> FrameView | None:
@@ -345,7 +252,7 @@ class FrameRingReader(_Ring):
             sequence = int(self._header["newest_sequence"][0])
             if sequence == 0:
                 return None
-            self._fence()
+            full_fence()
             view = self._view(sequence % self.shape.slot_count)
             if view is not None and view.still_valid():
                 return view
@@ -357,15 +264,9 @@ class FrameRingReader(_Ring):
             view = self.newest()
             if view is None:
                 return None
-            pixels = view.pixels.copy()
+            frame = replace(view.as_frame(camera_index), pixels=view.pixels.copy())
             if view.still_valid():
-                return CameraFrame(
-                    camera_index=camera_index,
-                    sequence=view.sequence,
-                    content_revision=view.content_revision,
-                    timestamp_ns=view.timestamp_ns,
-                    pixels=pixels,
-                )
+                return frame
         return None
 
     def _view(self, index: int) -> FrameView | None:
@@ -373,7 +274,7 @@ class FrameRingReader(_Ring):
         lock = int(slot["lock"])
         if lock % 2:
             return None
-        self._fence()
+        full_fence()
         counters = {name: int(value) for name, value in zip(COUNTER_NAMES, slot["counters"], strict=True)}
         return FrameView(
             sequence=int(slot["sequence"]),
@@ -381,6 +282,7 @@ class FrameRingReader(_Ring):
             timestamp_ns=int(slot["timestamp_ns"]),
             confirmed_ns=self.confirmed_ns,
             counters=counters,
+            tile_revisions=self._tiles[index].copy(),
             pixels=self._pixels[index],
             _ring=self,
             _slot=index,

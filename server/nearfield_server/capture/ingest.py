@@ -1,21 +1,57 @@
 """The door of the server: whatever a source delivers becomes a clean half-float picture, and what was wrong is counted.
 
 One infinite pixel, let through, poisons thousands of texels (infinity times zero in a bilinear blend), one NaN everything after it.
+On the way the picture is compared tile by tile with the one before: while a pixel is in a register the comparison is nearly free.
 """
 
 from __future__ import annotations
+
+from typing import Any, Final
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from nearfield_server.capture.tile_tolerance import keep_tiles_within
 from nearfield_server.errors import CaptureError
-from nearfield_server.radiometry.half import as_uint16, float_to_half
+from nearfield_server.radiometry.half import float_to_half, pack_plain_rgb
+from nearfield_server.records import FRAME_TILE
 
 HALF_MAX = 65504.0
 _HALF_MAX_BITS = 0x7BFF
 _HALF_ONE_BITS = 0x3C00
 INGEST_COUNTERS = ("nan", "infinite", "negative", "above_range")
+_NOTHING_BEFORE: Final = np.zeros((0, 0), np.uint64)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def _clean_pixel(source: NDArray[np.float32], row: int, column: int, counts: NDArray[np.uint64]) -> Any:
+    """One pixel with anything in it as a word of four clean halves; no fastmath: it would remove the NaN test."""
+    nan = infinite = negative = above = False
+    word = np.uint64(0)
+    for channel in range(3):
+        value = source[row, column, channel]
+        bits = np.uint64(0)
+        if value >= np.float32(0.0) and value <= np.float32(HALF_MAX):
+            bits = np.uint64(float_to_half(value + np.float32(0.0)))  # -0 becomes +0
+        elif np.isnan(value):
+            nan = True
+        elif value < np.float32(0.0):
+            infinite |= np.isinf(value)
+            negative |= not np.isinf(value)
+        else:
+            infinite |= np.isinf(value)
+            above |= not np.isinf(value)
+            bits = np.uint64(_HALF_MAX_BITS)
+        word |= bits << np.uint64(16 * channel)
+    counts[0] += nan
+    counts[1] += infinite
+    counts[2] += negative
+    counts[3] += above
+    # A pixel with one unknown channel is no measurement at all.
+    if nan or (source.shape[2] == 4 and not source[row, column, 3] > np.float32(0.5)):
+        return np.uint64(0)
+    return word | np.uint64(_HALF_ONE_BITS) << np.uint64(48)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
@@ -23,49 +59,47 @@ def _clean_rows(
     source: NDArray[np.float32],
     circle: NDArray[np.bool_],
     use_circle: bool,
-    target: NDArray[np.uint16],
+    target: NDArray[np.uint64],
+    previous: NDArray[np.uint64],
+    changed: NDArray[np.bool_],
     counts: NDArray[np.uint64],
 ) -> None:
-    """Rows of float32 (H, W, C) to the bits of clean halves (H, W, 4); no fastmath: it would remove the NaN test."""
-    num_channels = source.shape[2]
-    for row in range(source.shape[0]):
-        for column in range(source.shape[1]):
-            nan = infinite = negative = above = False
-            known = not use_circle or circle[row, column]
-            if known:
-                for channel in range(3):
-                    value = source[row, column, channel]
-                    if value >= np.float32(0.0) and value <= np.float32(HALF_MAX):
-                        target[row, column, channel] = float_to_half(value)
-                    elif np.isnan(value):
-                        nan = True
-                    elif value < np.float32(0.0):
-                        infinite |= np.isinf(value)
-                        negative |= not np.isinf(value)
-                        target[row, column, channel] = np.uint16(0)
-                    else:
-                        infinite |= np.isinf(value)
-                        above |= not np.isinf(value)
-                        target[row, column, channel] = np.uint16(_HALF_MAX_BITS)
-                # A pixel with one unknown channel is no measurement at all.
-                known = not nan and (num_channels == 3 or source[row, column, 3] > np.float32(0.5))
-            if known:
-                target[row, column, 3] = np.uint16(_HALF_ONE_BITS)
-            else:
-                for channel in range(4):
-                    target[row, column, channel] = np.uint16(0)
-            counts[0] += nan
-            counts[1] += infinite
-            counts[2] += negative
-            counts[3] += above
+    """Rows of float32 (H, W, C) to words (H, W) of four clean halves; tiles that differ from `previous` (if any) are marked."""
+    height, width, num_channels = source.shape
+    base, pixel_bytes = source.ctypes.data, np.int64(4 * num_channels)
+    for row in range(height):
+        for tile in range(changed.shape[1]):
+            left, right = tile * FRAME_TILE, min((tile + 1) * FRAME_TILE, width)
+            compare = previous.shape[0] != 0 and not changed[row // FRAME_TILE, tile]
+            difference = np.uint64(0)
+            for column in range(left, right):
+                word, plain = pack_plain_rgb(base + np.int64(row * width + column) * pixel_bytes)
+                if use_circle and not circle[row, column]:
+                    word = np.uint64(0)
+                elif num_channels == 4 or not plain:
+                    word = _clean_pixel(source, row, column, counts)
+                target[row, column] = word
+                if compare:
+                    difference |= word ^ previous[row, column]
+            if difference != np.uint64(0):
+                changed[row // FRAME_TILE, tile] = True
+
+
+def as_words(pixels: NDArray[np.float16]) -> NDArray[np.uint64]:
+    """(H, W, 4) halves as (H, W) words of the same memory: equal words are equal pixels, bit for bit."""
+    return pixels.view(np.uint64)[..., 0]
 
 
 def ingest_frame(
     pixels: NDArray[np.float32] | NDArray[np.float16],
     target: NDArray[np.float16],
     image_circle: NDArray[np.bool_] | None = None,
+    *,
+    previous: NDArray[np.float16] | None = None,
+    changed: NDArray[np.bool_] | None = None,
+    tolerance: float = 0.0,
 ) -> dict[str, int]:
-    """Turn a raw picture into a clean one.
+    """Turn a raw picture into a clean one, and find the tiles in which it differs from the one before.
 
     Per channel: NaN makes the whole pixel invalid; negative values become 0; values above the half range, infinity included, become 65504
     (the light is there, only its amount is a lower bound). Alpha is validity: 1 inside the image circle with all channels known, else 0.
@@ -74,6 +108,9 @@ def ingest_frame(
         pixels: (H, W, 3 or 4) float32 or float16 radiance; a fourth channel <= 0.5 (or NaN) marks a pixel as invalid.
         target: (H, W, 4) float16, written completely (usually a slot of a frame ring).
         image_circle: (H, W) bool, where the lens shows anything; None = everywhere.
+        previous: (H, W, 4) float16, the clean picture in use until now; None = there is none.
+        changed: (ceil(H / FRAME_TILE), ceil(W / FRAME_TILE)) bool, written: False where `target` is `previous` bit for bit.
+        tolerance: 0 = any different bit is a change; above, see `tile_tolerance.keep_tiles_within`.
 
     Returns:
         Number of pixels of each kind in `INGEST_COUNTERS`; pixels outside the image circle are not counted.
@@ -81,6 +118,25 @@ def ingest_frame(
     Raises:
         CaptureError: wrong shape or dtype.
     """
+    _check_input(pixels, target, image_circle)
+    raw = np.ascontiguousarray(pixels, dtype=np.float32)
+    counts = np.zeros(len(INGEST_COUNTERS), np.uint64)
+    circle = np.zeros((1, 1), np.bool_) if image_circle is None else image_circle
+    if changed is None:
+        changed = np.empty([-(-side // FRAME_TILE) for side in target.shape[:2]], np.bool_)
+    changed[...] = previous is None
+    words = as_words(target)
+    before = _NOTHING_BEFORE if previous is None else as_words(previous)
+    exact = before if tolerance == 0.0 else _NOTHING_BEFORE
+    _clean_rows(raw, circle, image_circle is not None, words, exact, changed, counts)
+    if previous is not None and tolerance > 0.0:
+        keep_tiles_within(words, before, changed, tolerance)
+    return dict(zip(INGEST_COUNTERS, counts.tolist(), strict=True))
+
+
+def _check_input(
+    pixels: NDArray[Any], target: NDArray[np.float16], image_circle: NDArray[np.bool_] | None
+) -> None:
     if pixels.ndim != 3 or pixels.shape[2] not in (3, 4) or pixels.shape[:2] != target.shape[:2]:
         raise CaptureError(
             f"frame of shape {pixels.shape}, expected {(*target.shape[:2], 3)} or {(*target.shape[:2], 4)}"
@@ -89,8 +145,3 @@ def ingest_frame(
         raise CaptureError(f"frame of {pixels.dtype}, expected float32 or float16")
     if image_circle is not None and image_circle.shape != target.shape[:2]:
         raise CaptureError(f"image circle of shape {image_circle.shape}, expected {target.shape[:2]}")
-    raw = np.ascontiguousarray(pixels, dtype=np.float32)
-    counts = np.zeros(len(INGEST_COUNTERS), np.uint64)
-    circle = np.zeros((1, 1), np.bool_) if image_circle is None else image_circle
-    _clean_rows(raw, circle, image_circle is not None, as_uint16(target), counts)
-    return dict(zip(INGEST_COUNTERS, counts.tolist(), strict=True))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections import Counter
 from collections.abc import Callable
@@ -14,9 +15,10 @@ from numpy.typing import NDArray
 from nearfield_server.bus.backoff import Backoff
 from nearfield_server.bus.worker import Worker, run_worker
 from nearfield_server.capture.cameras import image_circle, make_source
-from nearfield_server.capture.frame_ring import COUNTER_NAMES, FrameRingWriter, RingShape
+from nearfield_server.capture.frame_ring import FrameRingWriter
 from nearfield_server.capture.frame_signal import FrameSignal
 from nearfield_server.capture.ingest import ingest_frame
+from nearfield_server.capture.ring_memory import COUNTER_NAMES, RingShape
 from nearfield_server.capture.source import RawFrame, Source
 from nearfield_server.errors import AssetError, CaptureError
 from nearfield_server.scene.room_config import load_room
@@ -31,12 +33,17 @@ class CaptureStatistics:
     frames: int = 0
     frame_rate: float = 0.0
     counters: Counter[str] = field(default_factory=Counter)
+    frames_unchanged: int = 0
+    tiles: int = 0
+    tiles_changed: int = 0
     _window_start_s: float = 0.0
     _window_frames: int = 0
 
-    def count(self, now_s: float, counters: dict[str, int]) -> None:
+    def count(self, now_s: float, counters: dict[str, int], tiles_changed: int) -> None:
         """Add one frame."""
         self.frames += 1
+        self.frames_unchanged += tiles_changed == 0
+        self.tiles_changed = tiles_changed
         self.counters.update({name: value for name, value in counters.items() if value})
         self._window_frames += 1
         self.roll(now_s)
@@ -49,13 +56,27 @@ class CaptureStatistics:
 
 
 class FramePump:
-    """Moves frames from a source into a ring: ingest, write, wake the reader; an unchanged picture is only confirmed."""
+    """Moves frames from a source into a ring: ingest, write, wake the reader; an unchanged picture is only confirmed.
+
+    Args:
+        source: the camera.
+        ring: where frames go.
+        signal: rung after each new frame.
+        circle: (H, W) bool, where the lens shows anything; None = everywhere.
+        tolerance: change of a value relative to the one in use that is not passed on, see `tile_tolerance`.
+    """
 
     def __init__(
-        self, source: Source, ring: FrameRingWriter, signal: FrameSignal, circle: NDArray[np.bool_] | None
+        self,
+        source: Source,
+        ring: FrameRingWriter,
+        signal: FrameSignal,
+        circle: NDArray[np.bool_] | None,
+        tolerance: float = 0.0,
     ) -> None:
-        self.source, self.ring, self.signal, self.circle = source, ring, signal, circle
-        self.statistics = CaptureStatistics()
+        self.source, self.ring, self.signal = source, ring, signal
+        self.circle, self.tolerance = circle, tolerance
+        self.statistics = CaptureStatistics(tiles=math.prod(ring.shape.tile_grid))
         self._revision: int | None = None
         self._ring_revision = 0
 
@@ -76,20 +97,30 @@ class FramePump:
             return False
         if frame.content_revision == self._revision:
             self.ring.confirm(now_ns)
-            self.statistics.count(now_s, {})
+            self.statistics.count(now_s, {}, 0)
             return True
-        counters = self._write(frame)
+        counters, tiles_changed = self._write(frame)
         self._revision = frame.content_revision
-        self.signal.notify()
-        self.statistics.count(now_s, counters)
+        if tiles_changed:
+            self.signal.notify()
+        self.statistics.count(now_s, counters, tiles_changed)
         return True
 
-    def _write(self, frame: RawFrame) -> dict[str, int]:
+    def _write(self, frame: RawFrame) -> tuple[dict[str, int], int]:
+        """Counters of the frame, and how many of its tiles differ from the frame before."""
         self._ring_revision += 1
-        with self.ring.write(self._ring_revision, frame.timestamp_ns) as (pixels, slot_counters):
-            counters = {**frame.counters, **ingest_frame(frame.pixels, pixels, self.circle)}
-            slot_counters[...] = [counters.get(name, 0) for name in COUNTER_NAMES]
-        return counters
+        with self.ring.write(self._ring_revision, frame.timestamp_ns) as draft:
+            found = ingest_frame(
+                frame.pixels,
+                draft.pixels,
+                self.circle,
+                previous=draft.previous,
+                changed=draft.changed,
+                tolerance=self.tolerance,
+            )
+            counters = {**frame.counters, **found}
+            draft.counters[...] = [counters.get(name, 0) for name in COUNTER_NAMES]
+        return counters, int(np.count_nonzero(draft.changed))
 
 
 def capture_loop(
@@ -145,6 +176,10 @@ def _status(
         "frame_rate": round(statistics.frame_rate, 2),
         "generation": pump.ring.generation,
         "counters": dict(statistics.counters),
+        "frames_unchanged": statistics.frames_unchanged,
+        "tiles": statistics.tiles,
+        "tiles_changed": statistics.tiles_changed,
+        "change_tolerance": pump.tolerance,
     }
 
 
@@ -157,7 +192,8 @@ def main(worker: Worker) -> None:
     source = make_source(room, camera_index, worker.spec.options)
     with_circle = image_circle(camera.intrinsics)
     ring = FrameRingWriter(worker.spec.ring_fds[camera_index], camera.camera_id, shape)
-    pump = FramePump(source, ring, FrameSignal(worker.spec.signal_fd), with_circle)
+    tolerance = room.change_tolerances[camera_index]
+    pump = FramePump(source, ring, FrameSignal(worker.spec.signal_fd), with_circle, tolerance)
     worker.wait_for_control(20.0)
     frame_rate = float(worker.spec.options.get("frame_rate") or room.frame_rate)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -27,6 +27,8 @@ class FrameCollector:
 
     readers: Sequence[FrameRingReader]
     torn: int = 0
+    # Cameras of which a torn picture was used: what was derived from its tiles is wrong, whatever their revisions say.
+    _distrusted: set[int] = field(default_factory=set)
     _views: list[FrameView | None] = field(default_factory=list)
     _copy_rounds: int = 0
     _retries: itertools.count[int] = field(default_factory=lambda: itertools.count(_RETRY_REVISION))
@@ -36,28 +38,24 @@ class FrameCollector:
         if self._copy_rounds > 0:
             self._copy_rounds -= 1
             self._views = []
-            return [reader.newest_copy(index) for index, reader in enumerate(self.readers)]
-        self._views = [reader.newest() for reader in self.readers]
-        return [
-            None
-            if view is None
-            else CameraFrame(
-                camera_index=index,
-                sequence=view.sequence,
-                content_revision=view.content_revision,
-                timestamp_ns=view.timestamp_ns,
-                pixels=view.pixels,
-            )
-            for index, view in enumerate(self._views)
-        ]
+            frames = [reader.newest_copy(index) for index, reader in enumerate(self.readers)]
+        else:
+            self._views = [reader.newest() for reader in self.readers]
+            frames = [
+                None if view is None else view.as_frame(index) for index, view in enumerate(self._views)
+            ]
+        return [None if frame is None else self._with_trusted_tiles(frame) for frame in frames]
 
     def stayed_whole(self) -> bool:
         """Whether no frame of the last `collect` was overwritten since; if one was, the next rounds copy."""
-        whole = all(view is None or view.still_valid() for view in self._views)
-        if not whole:
+        torn = {
+            index for index, view in enumerate(self._views) if view is not None and not view.still_valid()
+        }
+        if torn:
             self.torn += 1
             self._copy_rounds = _COPY_ROUNDS
-        return whole
+            self._distrusted |= torn
+        return not torn
 
     def recollect(self) -> list[CameraFrame | None]:
         """Return copies under revisions never used before: what was derived from torn pictures is made again."""
@@ -66,15 +64,16 @@ class FrameCollector:
         return [
             None
             if frame is None
-            else CameraFrame(
-                camera_index=frame.camera_index,
-                sequence=frame.sequence,
-                content_revision=next(self._retries),
-                timestamp_ns=frame.timestamp_ns,
-                pixels=frame.pixels,
-            )
+            else replace(self._with_trusted_tiles(frame), content_revision=next(self._retries))
             for frame in frames
         ]
+
+    def _with_trusted_tiles(self, frame: CameraFrame) -> CameraFrame:
+        """Without tile revisions, once, if a torn picture of the camera went before."""
+        if frame.camera_index not in self._distrusted:
+            return frame
+        self._distrusted.discard(frame.camera_index)
+        return replace(frame, tile_revisions=None)
 
 
 def camera_report(

@@ -16,8 +16,9 @@ from nearfield_protocol.codec import encode_atlas_tiles
 from nearfield_server.bus.keys import LIGHT_ATLAS, LIGHT_PACKET
 from nearfield_server.bus.messages import ControlState, room_revision
 from nearfield_server.bus.worker import Worker, run_worker
-from nearfield_server.capture.frame_ring import FrameRingReader, RingShape
+from nearfield_server.capture.frame_ring import FrameRingReader
 from nearfield_server.capture.frame_signal import FrameSignal
+from nearfield_server.capture.ring_memory import RingShape
 from nearfield_server.geometry.cache import load_or_build
 from nearfield_server.geometry.probes import ProbeRays
 from nearfield_server.illumination.atlas_channel import AtlasChannel, build_downsampler

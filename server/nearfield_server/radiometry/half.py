@@ -52,6 +52,32 @@ def float_to_half(typingctx: Any, value: Any) -> Any:
 
 
 @intrinsic  # type: ignore[untyped-decorator]
+def pack_plain_rgb(typingctx: Any, address: Any) -> Any:
+    """Three float32 at an address (int64) as a word of four halves (uint64), alpha 1, and whether all lie in [0, HALF_MAX].
+
+    The word means something only if they do; -0 becomes +0.
+    """
+
+    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        pointer = builder.inttoptr(args[0], _F32.as_pointer())
+        values = ir.Constant(_F32X4, [0.0, 0.0, 0.0, 1.0])
+        for channel in range(3):
+            value = builder.load(builder.gep(pointer, [_I32(channel)]), align=4)
+            values = builder.insert_element(values, value, _I32(channel))
+        zero = ir.Constant(_F32X4, [0.0] * 4)
+        values = builder.fadd(values, zero)
+        inside = builder.and_(
+            builder.fcmp_ordered(">=", values, zero),
+            builder.fcmp_ordered("<=", values, ir.Constant(_F32X4, [HALF_MAX] * 4)),
+        )
+        all_inside = builder.icmp_unsigned("==", builder.bitcast(inside, ir.IntType(4)), ir.IntType(4)(15))
+        word = builder.bitcast(builder.fptrunc(values, ir.VectorType(_HALF, 4)), ir.IntType(64))
+        return context.make_tuple(builder, signature.return_type, [word, all_inside])
+
+    return types.Tuple((types.uint64, types.boolean))(types.int64), codegen
+
+
+@intrinsic  # type: ignore[untyped-decorator]
 def float_bits(typingctx: Any, value: Any) -> Any:
     """The 32 bits of a float32 as uint32: for values >= 0 they sort like the values."""
 

@@ -74,6 +74,7 @@ class RoomConfig:
         folder: of the room file; `TabletView.background_files` are relative to it.
         model_path: room GLB.
         cameras: fish-eyes. sources: one per camera.
+        change_tolerances: one per camera; change of a pixel relative to the value in use that is not passed on.
         objects, views, lights: see there.
         light: settings of the light extraction.
         atlas_size: largest side of the atlas, texels.
@@ -85,6 +86,7 @@ class RoomConfig:
     model_path: Path
     cameras: tuple[CameraModel, ...]
     sources: tuple[SourceConfig, ...]
+    change_tolerances: tuple[float, ...]
     objects: tuple[ObjectConfig, ...]
     views: tuple[TabletView, ...]
     lights: tuple[SwitchableLight, ...]
@@ -126,6 +128,7 @@ def room_from_bundle(bundle: Bundle) -> RoomConfig:
         model_path=bundle.model_path,
         cameras=tuple(camera.model for camera in bundle.cameras),
         sources=tuple(LabSourceConfig(files=camera.files) for camera in bundle.cameras),
+        change_tolerances=(0.0,) * len(bundle.cameras),
         objects=tuple(
             ObjectConfig(
                 name=item.name,
@@ -167,6 +170,7 @@ def _room_from_table(table: RoomTable, file: Path) -> RoomConfig:
             for camera in table.cameras
         ),
         sources=tuple(_source(table, index, file) for index in range(len(table.cameras))),
+        change_tolerances=tuple(camera.change_tolerance for camera in table.cameras),
         objects=tuple(
             ObjectConfig(
                 name=item.name,

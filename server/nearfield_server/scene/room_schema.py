@@ -30,6 +30,7 @@
     k = [0.0, 0.0, 0.0, 0.0]                # optional
     theta_max = 1.5707963                   # radians
     world_from_camera = [[...], [...], [...], [...]]
+    change_tolerance = 0.0                  # optional, 0 to 0.1: smaller relative changes of a pixel are not passed on
     source = { kind = "exr_sequence", folder = "recordings/cam0" }
     # or     { kind = "lab", files = ["cam0_lamp.exr", ...] }, one per light
 
@@ -139,6 +140,7 @@ class CameraTable(_Strict):
     k: tuple[Finite, Finite, Finite, Finite] = (0.0, 0.0, 0.0, 0.0)
     theta_max: Annotated[float, Field(gt=0, le=np.pi)]
     world_from_camera: Transform
+    change_tolerance: Annotated[float, Field(ge=0, le=0.1, allow_inf_nan=False)] = 0.0
     source: Annotated[LabSourceTable | ExrSequenceTable, Field(discriminator="kind")]
 
     @property

@@ -17,8 +17,8 @@ from nearfield_server.bus.keys import CONTROL_REQUEST, CONTROL_STATE, STATUS, st
 from nearfield_server.bus.messages import parse_object, status_json
 from nearfield_server.bus.session import Bus
 from nearfield_server.bus.worker import WorkerSpec
-from nearfield_server.capture.frame_ring import RingShape, create_ring
 from nearfield_server.capture.frame_signal import FrameSignal
+from nearfield_server.capture.ring_memory import RingShape, create_ring
 from nearfield_server.errors import BusError, ServiceError
 from nearfield_server.scene.room_config import RoomConfig
 from nearfield_server.supervisor.child import Child

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import random
-import resource
 import signal
 import subprocess
 import sys
@@ -16,18 +15,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from nearfield_server.capture.frame_ring import (
-    COUNTER_NAMES,
-    PAGE,
-    FrameRingReader,
-    FrameRingWriter,
-    RingShape,
-    create_ring,
-)
+from nearfield_server.capture.frame_ring import FrameRingReader, FrameRingWriter
 from nearfield_server.capture.frame_signal import FrameSignal
-from nearfield_server.errors import FrameRingError
+from nearfield_server.capture.ring_memory import COUNTER_NAMES, RingShape, create_ring
 
 SHAPE = RingShape(6, 5, 3)
+GRID = RingShape(70, 100, 3)
 
 
 @pytest.fixture
@@ -44,14 +37,14 @@ def make_ring() -> Iterator[Callable[[RingShape], int]]:
 
 
 def _write(writer: FrameRingWriter, value: float, revision: int = 1, timestamp_ns: int = 1) -> None:
-    with writer.write(revision, timestamp_ns) as (pixels, counters):
-        pixels[...] = value
-        counters[...] = range(len(COUNTER_NAMES))
+    with writer.write(revision, timestamp_ns) as draft:
+        draft.pixels[...] = value
+        draft.counters[...] = range(len(COUNTER_NAMES))
 
 
 def _die_while_writing(writer: FrameRingWriter) -> None:
-    with writer.write(1, 2) as (pixels, _counters):
-        pixels[:3] = 99
+    with writer.write(1, 2) as draft:
+        draft.pixels[:3] = 99
         raise KeyboardInterrupt
 
 
@@ -157,66 +150,75 @@ def test_confirming_keeps_the_picture_and_renews_its_age(make_ring: Callable[...
     assert after.confirmed_ns == reader.confirmed_ns == 500
 
 
-def test_the_memory_cannot_be_resized(make_ring: Callable[..., int]) -> None:
+def test_the_revision_of_a_tile_is_that_of_the_frame_that_changed_it_last(
+    make_ring: Callable[..., int],
+) -> None:
+    fd = make_ring(GRID)
+    reader = FrameRingReader(fd, "test")
+    rng = np.random.default_rng(3)
+    expected = np.zeros(GRID.tile_grid, np.int64)
+    writer = FrameRingWriter(fd, "test")
+    revision = 0
+    for step in range(60):
+        if step % 20 == 19:  # a new writer goes on with the tiles that it finds
+            writer, revision = FrameRingWriter(fd, "test"), 0
+        revision += 1
+        changed = rng.random(GRID.tile_grid) < 0.3 if step else np.ones(GRID.tile_grid, bool)
+        with writer.write(revision, step) as draft:
+            assert draft.changed.all()
+            draft.changed[...] = changed
+        view = reader.newest()
+        assert view is not None
+        if changed.any():
+            expected[changed] = view.content_revision
+        np.testing.assert_array_equal(view.tile_revisions, expected)
+        copy = reader.newest_copy(0)
+        assert copy is not None
+        assert copy.tile_revisions is not None
+        np.testing.assert_array_equal(copy.tile_revisions, expected)
+
+
+def test_a_frame_without_changed_tiles_confirms_the_one_before(make_ring: Callable[..., int]) -> None:
     fd = make_ring()
-    for size in (0, SHAPE.total_bytes + PAGE):
-        with pytest.raises(PermissionError):
-            os.ftruncate(fd, size)
+    writer, reader = FrameRingWriter(fd, "test", SHAPE), FrameRingReader(fd, "test", SHAPE)
+    _write(writer, 1, revision=1, timestamp_ns=10)
+    before = reader.newest()
+    assert before is not None
+    for step in range(3 * SHAPE.slot_count):
+        with writer.write(2 + step, 100 + step) as draft:
+            assert draft.previous is not None
+            draft.pixels[...] = draft.previous
+            draft.changed[...] = False
+        after = reader.newest()
+        assert after is not None
+        assert after.confirmed_ns == 100 + step
+        assert (after.sequence, after.content_revision, after.timestamp_ns) == (
+            1,
+            before.content_revision,
+            10,
+        )
+        assert before.still_valid()
+    _write(writer, 2, revision=100, timestamp_ns=200)
+    after = reader.newest()
+    assert after is not None
+    assert (after.sequence, float(after.pixels[0, 0, 0])) == (2, 2.0)
+    assert (after.tile_revisions != before.tile_revisions).all()
 
 
-@pytest.mark.parametrize(
-    ("offset", "damage", "words"),
-    [
-        (0, b"XXXX", "magic"),
-        (8, b"\x63\0\0\0", "layout version 99"),
-        (12, b"\x20\0\0\0", "expected"),
-        (16, b"<f4\0", "channels"),
-        (24, b"\x07\0\0\0", "another camera"),
-        (40, b"\x01", "slots of"),
-    ],
-)
-def test_a_damaged_header_is_refused_in_words(
-    make_ring: Callable[..., int], offset: int, damage: bytes, words: str
+def test_the_picture_before_is_handed_to_the_next_writer_and_cannot_be_written(
+    make_ring: Callable[..., int],
 ) -> None:
     fd = make_ring()
-    os.pwrite(fd, damage, offset)
-    for kind in (FrameRingReader, FrameRingWriter):
-        with pytest.raises(FrameRingError, match=words):
-            kind(fd, "test", SHAPE)
-
-
-def test_foreign_memory_is_refused(make_ring: Callable[..., int]) -> None:
-    fd = make_ring()
-    with pytest.raises(FrameRingError, match="another camera"):
-        FrameRingReader(fd, "test", RingShape(8, 5, 3))
-    empty = os.memfd_create("empty")
-    try:
-        with pytest.raises(FrameRingError, match="at least the header"):
-            FrameRingReader(empty, "test")
-    finally:
-        os.close(empty)
-    with pytest.raises(FrameRingError, match="not open"):
-        FrameRingReader(empty, "test")
-
-
-def test_impossible_and_too_large_rings_are_refused_before_memory_is_touched() -> None:
-    for shape in (RingShape(0, 4), RingShape(4, 20_000), RingShape(4, 4, 1)):
-        with pytest.raises(FrameRingError, match="impossible"):
-            create_ring("test", shape)
-    with pytest.raises(FrameRingError, match="are free"):
-        create_ring("test", RingShape(16384, 16384, 64))
-
-
-def test_running_out_of_memory_while_reserving_is_an_error_in_words_and_leaks_nothing() -> None:
-    before = set(os.listdir("/proc/self/fd"))
-    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (PAGE, limits[1]))
-    try:
-        with pytest.raises(FrameRingError, match="cannot reserve"):
-            create_ring("test", SHAPE)
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
-    assert set(os.listdir("/proc/self/fd")) == before
+    with FrameRingWriter(fd, "test").write(1, 1) as draft:
+        assert draft.previous is None
+        draft.pixels[...] = 7
+    with pytest.raises(KeyboardInterrupt):
+        _die_while_writing(FrameRingWriter(fd, "test"))
+    with FrameRingWriter(fd, "test").write(1, 2) as draft:
+        assert draft.previous is not None
+        assert (draft.previous == 7).all()
+        with pytest.raises(ValueError, match="read-only"):
+            draft.previous[0, 0, 0] = 3
 
 
 def test_signal_wakes_once_for_any_number_of_notifications() -> None:
@@ -241,11 +243,11 @@ while True:
     n += 1
     if n == 2:
         print("ready", flush=True)
-    with writer.write(n, n) as (pixels, counters):
+    with writer.write(n, n) as draft:
         value = (writer.newest_sequence + 1) % 2048
-        for row in range(pixels.shape[0]):
-            pixels[row] = value
-        counters[...] = n
+        for row in range(draft.pixels.shape[0]):
+            draft.pixels[row] = value
+        draft.counters[...] = n
 """
 
 

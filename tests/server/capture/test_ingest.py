@@ -78,3 +78,61 @@ def test_wrong_shapes_and_types_are_refused(pixels: np.ndarray) -> None:
         ingest_frame(pixels, np.zeros((2, 2, 4), np.float16))
     with pytest.raises(CaptureError, match="image circle"):
         ingest_frame(np.zeros((2, 2, 3), np.float32), np.zeros((2, 2, 4), np.float16), np.ones((3, 3), bool))
+
+
+def _tile_differs(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    rows, columns = -(-first.shape[0] // 32), -(-first.shape[1] // 32)
+    differs = np.zeros((rows, columns), bool)
+    for row, column in np.argwhere((first.view(np.uint16) != second.view(np.uint16)).any(-1)):
+        differs[row // 32, column // 32] = True
+    return differs
+
+
+@given(
+    st.integers(1, 70), st.integers(1, 70), st.integers(0, 2**32 - 1), st.sampled_from([0.0, 1e-3, 0.3, 1.0])
+)
+@settings(deadline=None, max_examples=60)
+def test_exactly_the_tiles_that_differ_bit_for_bit_are_marked(
+    height: int, width: int, seed: int, share: float
+) -> None:
+    rng = np.random.default_rng(seed)
+    first = rng.random((height, width, 3), np.float32)
+    second = np.where(rng.random((height, width, 1)) < share, np.nextafter(first, 2), first)
+    second[rng.random((height, width)) < share / 4] = np.nan
+    before, _ = _ingest(first)
+    after = np.full_like(before, np.nan)
+    changed = rng.random((-(-height // 32), -(-width // 32))) < 0.5  # whatever was there before
+    ingest_frame(second, after, previous=before, changed=changed)
+    np.testing.assert_array_equal(changed, _tile_differs(before, after))
+    alone, _ = _ingest(second)
+    np.testing.assert_array_equal(after.view(np.uint16), alone.view(np.uint16))
+
+
+def test_without_a_picture_before_every_tile_is_marked() -> None:
+    target, changed = np.zeros((40, 40, 4), np.float16), np.zeros((2, 2), bool)
+    ingest_frame(np.zeros((40, 40, 3), np.float32), target, changed=changed)
+    assert changed.all()
+
+
+def test_the_sign_of_zero_is_no_change() -> None:
+    before, _ = _ingest(np.zeros((2, 2, 3), np.float32))
+    changed = np.ones((1, 1), bool)
+    ingest_frame(
+        np.full((2, 2, 3), -0.0, np.float32), np.empty_like(before), previous=before, changed=changed
+    )
+    assert not changed.any()
+    negative = np.full((2, 2, 4), -0.0, np.float32)
+    negative[..., 3], negative[0, 0, 1] = 1.0, -3.0
+    ingest_frame(negative, np.empty_like(before), previous=before, changed=changed)
+    assert not changed.any()
+
+
+@pytest.mark.parametrize("channels", [3, 4])
+@pytest.mark.parametrize("dtype", [np.float16, np.float32])
+def test_every_layout_of_a_source_gives_the_same_picture(channels: int, dtype: type) -> None:
+    rng = np.random.default_rng(1)
+    pixels = np.ones((33, 35, channels), dtype)
+    pixels[..., :3] = rng.random((33, 35, 3)).astype(np.float16)
+    target, _ = _ingest(pixels[::-1, ::-1])  # not contiguous
+    np.testing.assert_array_equal(target[..., :3], pixels[::-1, ::-1, :3])
+    assert (target[..., 3] == 1).all()

@@ -32,6 +32,7 @@ def room(tmp_path: Path, furnished_room: RoomMesh, cameras: tuple[CameraModel, .
         model_path=tmp_path / "room.glb",
         cameras=cameras[1:],
         sources=(),
+        change_tolerances=(),
         objects=(),
         views=(),
         lights=(),

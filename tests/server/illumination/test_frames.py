@@ -8,7 +8,8 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from nearfield_server.capture.frame_ring import FrameRingReader, FrameRingWriter, RingShape, create_ring
+from nearfield_server.capture.frame_ring import FrameRingReader, FrameRingWriter
+from nearfield_server.capture.ring_memory import RingShape, create_ring
 from nearfield_server.illumination.frames import FrameCollector, camera_report
 
 SHAPE = RingShape(4, 4, 3)
@@ -23,9 +24,9 @@ def rings() -> Iterator[tuple[list[FrameRingWriter], list[FrameRingReader]]]:
 
 
 def _write(writer: FrameRingWriter, value: float, timestamp_ns: int = 1) -> None:
-    with writer.write(int(value), timestamp_ns) as (pixels, counters):
-        pixels[...] = value
-        counters[...] = 0
+    with writer.write(int(value), timestamp_ns) as draft:
+        draft.pixels[...] = value
+        draft.counters[...] = 0
 
 
 def test_the_newest_frame_of_each_camera_and_none_where_there_is_none(
@@ -68,6 +69,48 @@ def test_an_overwritten_frame_is_noticed_and_taken_again_under_a_new_revision(
         _write(writers[0], value)
     np.testing.assert_array_equal(copies[0].pixels, before)
     assert collector.stayed_whole()
+
+
+def test_tiles_of_a_torn_picture_are_not_trusted_once(
+    rings: tuple[list[FrameRingWriter], list[FrameRingReader]],
+) -> None:
+    """What was made of a torn picture is wrong even where the tiles did not change since."""
+    writers, readers = rings
+    for writer in writers:
+        _write(writer, 1)
+    collector = FrameCollector(readers)
+    first = [frame for frame in collector.collect() if frame]
+    assert all(frame.tile_revisions is not None for frame in first)
+    for value in range(2, 2 + SHAPE.slot_count):
+        _write(writers[0], value)
+    assert not collector.stayed_whole()
+    torn, other = collector.recollect()
+    assert torn is not None
+    assert torn.tile_revisions is None
+    assert other is not None
+    np.testing.assert_array_equal(other.tile_revisions, first[1].tile_revisions)
+    assert all(frame is not None and frame.tile_revisions is not None for frame in collector.collect())
+
+
+def test_distrust_waits_for_the_next_whole_picture(
+    rings: tuple[list[FrameRingWriter], list[FrameRingReader]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    writers, readers = rings
+    for writer in writers:
+        _write(writer, 1)
+    collector = FrameCollector(readers)
+    collector.collect()
+    for value in range(2, 2 + SHAPE.slot_count):
+        _write(writers[0], value)
+    assert not collector.stayed_whole()
+    with monkeypatch.context() as patch:
+        patch.setattr(FrameRingReader, "newest_copy", lambda self, index: None)
+        assert collector.recollect() == [None, None]
+    torn, other = collector.collect()
+    assert torn is not None
+    assert torn.tile_revisions is None
+    assert other is not None
+    assert other.tile_revisions is not None
 
 
 def test_age_counts_from_the_last_sign_of_the_camera(

@@ -39,6 +39,7 @@ fy = 20.0
 cx = 31.5
 cy = 31.5
 k = [0.01, 0, 0, 0]
+change_tolerance = 0.01
 theta_max = 1.5
 world_from_camera = {IDENTITY}
 source = {{ kind = "exr_sequence", folder = "frames" }}
@@ -81,6 +82,7 @@ def test_reads_every_table_and_resolves_paths(tmp_path: Path) -> None:
         LabSourceConfig(files=(tmp_path / "a.exr",)),
         ExrSequenceSourceConfig(folder=tmp_path / "frames"),
     )
+    assert room.change_tolerances == (0.0, 0.01)
     assert room.cameras[1].intrinsics.k == (0.01, 0.0, 0.0, 0.0)
     np.testing.assert_array_equal(room.objects[0].world_from_object, np.eye(4))
     assert room.views[0].background_files == ("a.exr",)
@@ -105,6 +107,7 @@ def test_reads_every_table_and_resolves_paths(tmp_path: Path) -> None:
             r"cameras\[0\].world_from_camera: .*not perpendicular",
         ),
         ("[[1,0,0,0],[0,1,0,0]", "[[-1,0,0,0],[0,1,0,0]", "mirrored"),
+        ("change_tolerance = 0.01", "change_tolerance = 0.5", r"cameras\[1\].change_tolerance: .*0.1"),
         ("albedo = [0.7,", "albedo = [1.7,", r"objects\[0\].albedo\[0\]: "),
         ("basis_radiance = 100", "basis_radiance = nan", r"lights\[0\].basis_radiance: "),
         ('id = "cam1"', 'id = "cam0"', r"cameras.id: expected different values, found \['cam0'\]"),
