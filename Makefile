@@ -14,6 +14,8 @@ DEBIAN_PACKAGES := python3 python3-venv libegl1 libgl1 chromium libllvm19 libato
 PYTHON_STAMP := $(VENV)/.installed
 NODE_STAMP := client_web/node_modules/.installed
 CLIENT_BUILD := server/nearfield_server/static/index.html
+BENCH_BUILD := server/nearfield_server/static_bench/index.html
+BENCH_SOURCES := $(shell find client_web/bench -type f 2>/dev/null) client_web/vite.bench.config.ts
 CLIENT_SOURCES := $(shell find client_web/src client_web/index.html client_web/public protocol/nearfield_protocol/glsl -type f 2>/dev/null) \
 	client_web/vite.config.ts client_web/tsconfig.json
 
@@ -23,7 +25,7 @@ CLIENT_SOURCES := $(shell find client_web/src client_web/index.html client_web/p
 help:  ## show this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
 
-setup: debian $(PYTHON_STAMP) $(CLIENT_BUILD)  ## install and build everything into .venv and client_web
+setup: debian $(PYTHON_STAMP) $(CLIENT_BUILD) $(BENCH_BUILD)  ## install and build everything into .venv and client_web
 
 debian:  ## install the Debian packages that are missing (as root, or with sudo)
 	@if ! command -v dpkg-query >/dev/null; then echo "Not a Debian system: install the equivalents of $(DEBIAN_PACKAGES)"; exit 0; fi; \
@@ -47,6 +49,10 @@ $(CLIENT_BUILD): $(CLIENT_SOURCES) $(NODE_STAMP)
 	cd client_web && $(WITH_ENV) npm run --silent build
 	touch $@
 
+$(BENCH_BUILD): $(BENCH_SOURCES) $(CLIENT_SOURCES) $(NODE_STAMP)
+	cd client_web && $(WITH_ENV) npm run --silent build:bench
+	touch $@
+
 demo: setup  ## start the service on the embedded virtual lab and print its address
 	exec $(BIN)/nearfield demo --port $(PORT)
 
@@ -64,7 +70,7 @@ lint: $(PYTHON_STAMP) $(NODE_STAMP)  ## style, types, layering, generated files
 	$(BIN)/python protocol/make_vectors.py --check
 	cd client_web && $(WITH_ENV) npm run --silent lint && $(WITH_ENV) npm run --silent typecheck
 
-unit: $(PYTHON_STAMP) $(CLIENT_BUILD)  ## unit, service and browser tests
+unit: $(PYTHON_STAMP) $(CLIENT_BUILD) $(BENCH_BUILD)  ## unit, service and browser tests
 	cd client_web && $(WITH_ENV) npm test --silent
 	$(BIN)/python -m pytest
 
@@ -74,4 +80,4 @@ lock: $(PYTHON_STAMP)  ## renew the lock files within the ranges of pyproject.to
 	cd client_web && $(WITH_ENV) npm update --package-lock-only
 
 clean:  ## remove what setup made
-	rm -rf $(VENV) client_web/node_modules server/nearfield_server/static
+	rm -rf $(VENV) client_web/node_modules server/nearfield_server/static server/nearfield_server/static_bench

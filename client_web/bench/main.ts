@@ -1,0 +1,114 @@
+/** `window.bench`: draws the same scene with several renderers, frame by frame as the benchmark asks. */
+import { Ours } from './ours'
+import { type BenchLight, type BenchScene, loadBenchScene, readLight } from './scene'
+import { ThreeForward } from './threeForward'
+import { type DrawingOptions, type FrameKind, finishFrame, type Variant } from './variant'
+
+interface Setting {
+  readonly scene: BenchScene
+  readonly light: BenchLight
+  readonly exposure: number
+  readonly drawing: DrawingOptions
+}
+
+const MAKERS: Readonly<Record<string, (setting: Setting) => Variant | Promise<Variant>>> = {
+  ours: ({ scene, light, exposure, drawing }) => Ours.create(scene, light, exposure, drawing),
+  three: ({ scene, light, exposure, drawing }) => new ThreeForward(scene, light, exposure, drawing),
+}
+
+let scene: BenchScene | null = null
+const variants = new Map<string, { readonly variant: Variant; frame: number }>()
+
+function find(name: string): { readonly variant: Variant; frame: number } {
+  const entry = variants.get(name)
+  if (!entry) throw new Error(`There is no variant ${name}; create it first.`)
+  return entry
+}
+
+/** A started variant must not leave shadow maps of former frames to a frame that is timed. */
+function settle(variant: Variant): void {
+  if (variant instanceof Ours) variant.settle()
+}
+
+const bench = {
+  /** Loads the scene and fixes the size of all pictures, pixels. */
+  async load(width: number, height: number): Promise<void> {
+    scene = await loadBenchScene(width, height)
+  },
+
+  /**
+   * Makes a variant and draws its first frames, in which shaders are compiled.
+   *
+   * @param packet base64 of a light packet.
+   * @returns number of VALs that it draws with.
+   */
+  async create(
+    name: string,
+    maker: string,
+    packet: string,
+    exposure: number,
+    drawing: DrawingOptions,
+  ): Promise<number> {
+    const make = MAKERS[maker]
+    if (!scene || !make) throw new Error(scene ? `No renderer ${maker}.` : 'Load the scene first.')
+    const light = readLight(packet)
+    const variant = await make({ scene, light, exposure, drawing })
+    variants.set(name, { variant, frame: 2 })
+    for (const frame of [0, 1]) variant.draw(frame, 'full')
+    settle(variant)
+    finishFrame(variant.gl)
+    return light.count
+  },
+
+  /** Brings a variant to rest; what follows is timed. */
+  settle(name: string): void {
+    const { variant } = find(name)
+    settle(variant)
+    finishFrame(variant.gl)
+  },
+
+  /** Draws frames and waits for each. Times in ms: of the whole, and of the page's own part without waiting. */
+  run(name: string, kind: FrameKind, frames: number): { wallMs: number; submitMs: number } {
+    const entry = find(name)
+    const started = performance.now()
+    let submitMs = 0
+    for (let i = 0; i < frames; i++) {
+      const before = performance.now()
+      entry.variant.draw(entry.frame++, kind)
+      submitMs += performance.now() - before
+      finishFrame(entry.variant.gl)
+    }
+    return { wallMs: performance.now() - started, submitMs }
+  },
+
+  /** Passes of the last frame of ours: name and whether it ran. */
+  passes(name: string): { name: string; ran: boolean }[] {
+    const { variant } = find(name)
+    return variant instanceof Ours ? variant.stats.passes.map(({ name, ran }) => ({ name, ran })) : []
+  },
+
+  /** PNG of one frame, as a data URL. */
+  picture(name: string): string {
+    const entry = find(name)
+    entry.variant.draw(0, 'full')
+    settle(entry.variant)
+    const copy = document.createElement('canvas')
+    copy.width = entry.variant.canvas.width
+    copy.height = entry.variant.canvas.height
+    copy.getContext('2d')?.drawImage(entry.variant.canvas, 0, 0)
+    return copy.toDataURL('image/png')
+  },
+
+  remove(name: string): void {
+    find(name).variant.dispose()
+    variants.delete(name)
+  },
+}
+
+declare global {
+  interface Window {
+    bench: typeof bench
+  }
+}
+
+window.bench = bench
