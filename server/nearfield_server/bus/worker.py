@@ -130,6 +130,7 @@ class Worker:
         self._phase = "starting"
         self._beat = time.monotonic()
         self._status: dict[str, Any] = {}
+        self._describe: Callable[[], dict[str, Any]] = dict
         self._started = time.monotonic()
         self._publisher = threading.Thread(target=self._publish_status, name="status", daemon=True)
         self.bus = Bus(spec.room_name, connect_port=spec.bus_port)
@@ -154,6 +155,10 @@ class Worker:
             self._beat = time.monotonic()
             self._phase = phase
             self._status.update(status)
+
+    def describe(self, status: Callable[[], dict[str, Any]]) -> None:
+        """Let `status()` add fields at the moment when a status is sent; it is called in another thread than the main loop's."""
+        self._describe = status
 
     @property
     def control(self) -> ControlState | None:
@@ -196,6 +201,7 @@ class Worker:
 
     def status(self) -> dict[str, Any]:
         """Return the status as it is published."""
+        described = self._describe()
         with self._lock:
             now = time.monotonic()
             return {
@@ -205,6 +211,7 @@ class Worker:
                 "beat_age_s": round(now - self._beat, 3),
                 "uptime_s": round(now - self._started, 3),
                 **self._status,
+                **described,
             }
 
     def _publish_status(self) -> None:

@@ -82,6 +82,7 @@ class LightHub:
         self.limits = limits or SessionLimits()
         self.max_clients = max_clients
         self.metrics = metrics or GatewayMetrics()
+        self.metrics.light_age.set_function(lambda: self.light_health()[0])
         self._stale_after, self._health_timeout = stale_after, health_timeout
         self._clients: set[Client] = set()
         self._loop: asyncio.AbstractEventLoop | None = None
@@ -105,6 +106,9 @@ class LightHub:
         Raises:
             DecodeError: not a light packet.
         """
+        light = self._light
+        if light is not None and light.data == data:
+            return  # repeated for gateways that have just started
         offer = LightOffer(data)
         self._run(lambda: self._take_light(offer))
 
@@ -197,7 +201,9 @@ class LightHub:
         self._notice_atlas_wish(wanted_before)
 
     def send_status(self) -> None:
-        """Send the heartbeat to everybody."""
+        """Send the heartbeat to everybody; it is not even made when nobody is there."""
+        if not self._clients:
+            return
         data = self._status()
         for client in self._clients:
             client.session.offer_status(data)
@@ -221,7 +227,6 @@ class LightHub:
 
     def _status(self) -> bytes:
         light_age, camera_ages, is_stale = self.light_health()
-        self.metrics.light_age.set(light_age)
         self._status_sequence += 1
         return encode_status(
             Status(

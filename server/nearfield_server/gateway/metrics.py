@@ -28,7 +28,7 @@ class GatewayMetrics:
         )
         self.light_age = Gauge(
             "nearfield_light_age_seconds",
-            "Age of the newest light when last reported.",
+            "Age of the newest light.",
             registry=self.registry,
         )
         self.sent_messages = Counter(

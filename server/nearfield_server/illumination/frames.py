@@ -27,6 +27,9 @@ class FrameCollector:
 
     readers: Sequence[FrameRingReader]
     torn: int = 0
+    had_news: bool = False
+    """Whether a camera delivered or confirmed a picture between the last two calls of `collect`."""
+    _confirmed: list[int] = field(default_factory=list)
     # Cameras of which a torn picture was used: what was derived from its tiles is wrong, whatever their revisions say.
     _distrusted: set[int] = field(default_factory=set)
     _views: list[FrameView | None] = field(default_factory=list)
@@ -35,6 +38,8 @@ class FrameCollector:
 
     def collect(self) -> list[CameraFrame | None]:
         """Return the newest frame per camera, or None where a camera has not delivered any yet."""
+        confirmed = [reader.confirmed_ns for reader in self.readers]
+        self.had_news, self._confirmed = confirmed != self._confirmed, confirmed
         if self._copy_rounds > 0:
             self._copy_rounds -= 1
             self._views = []

@@ -3,18 +3,25 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nearfield_protocol.codec import Encoding, LightPacket, encode_light_packet
+from nearfield_protocol.layout import MESSAGE_HEADER
 from nearfield_server.bus.messages import room_revision
 from nearfield_server.records import LightUpdate, ObjectPose, RoomMesh
+
+_LIGHT_OFFSET: Final = MESSAGE_HEADER.itemsize + 8
+"""What follows the message header and the timestamp: the light itself."""
 
 
 @dataclass(slots=True)
 class PacketWriter:
     """Numbers the packets of one room and writes them.
+
+    Light that is the same to the last bit of the wire, however the numbers behind it moved, is no news: the packet stays what it was.
 
     Attributes:
         bounds_min: (3,) float32, lowest corner of the room. bounds_size: (3,) float32, its edges, > 0.
@@ -26,6 +33,7 @@ class PacketWriter:
     bounds_size: NDArray[np.float32]
     room_revision: int
     sequence: int
+    _packet: bytes = b""
 
     @classmethod
     def for_room(cls, mesh: RoomMesh, first_sequence: int) -> PacketWriter:
@@ -42,15 +50,15 @@ class PacketWriter:
         )
 
     def write(self, update: LightUpdate, poses: list[ObjectPose]) -> bytes:
-        """Encode one update, compactly.
+        """Encode one update, compactly; the bytes of the packet before, if a client could not tell the two apart.
 
         Raises:
             EncodeError: the update holds numbers that no packet can carry; a bug of the pipeline.
         """
-        self.sequence = (self.sequence + 1) & 0xFFFFFFFF
-        return encode_light_packet(
+        sequence = (self.sequence + 1) & 0xFFFFFFFF
+        packet = encode_light_packet(
             LightPacket(
-                sequence=self.sequence,
+                sequence=sequence,
                 timestamp_ns=update.timestamp_ns,
                 vals=update.vals,
                 object_sh=update.object_sh,
@@ -61,3 +69,6 @@ class PacketWriter:
             ),
             Encoding.COMPACT,
         )
+        if packet[_LIGHT_OFFSET:] != self._packet[_LIGHT_OFFSET:]:
+            self.sequence, self._packet = sequence, packet
+        return self._packet

@@ -24,6 +24,7 @@ from nearfield_server.geometry.probes import ProbeRays
 from nearfield_server.illumination.atlas_channel import AtlasChannel, build_downsampler
 from nearfield_server.illumination.frames import STALE_AFTER_S, FrameCollector, camera_report
 from nearfield_server.illumination.packet import PacketWriter
+from nearfield_server.illumination.work_ledger import WorkLedger
 from nearfield_server.pipeline.runner import LightPipeline
 from nearfield_server.records import LightUpdate, ObjectPose, RoomMesh, TexelGeometry
 from nearfield_server.scene.model_source import load_source_model
@@ -74,9 +75,10 @@ class Illumination:
         writer: PacketWriter,
         atlas: AtlasChannel,
         bounds: list[ObjectBounds],
+        ledger: WorkLedger,
     ) -> None:
         self._worker, self._pipeline, self._collector = worker, pipeline, collector
-        self._writer, self._atlas, self._bounds = writer, atlas, bounds
+        self._writer, self._atlas, self._bounds, self._ledger = writer, atlas, bounds, ledger
         self._published_revision = 0
         self._published_poses: list[int] = []
         self._published_s = 0.0
@@ -85,6 +87,7 @@ class Illumination:
         self._last_run: LightUpdate | None = None
         self._atlas_s = 0.0
         self._atlas_wanted = False
+        self._atlas_due = False
         worker.bus.answer(LIGHT_PACKET, lambda: self._packet)
 
     def step(self, state: ControlState, now_s: float) -> None:
@@ -99,17 +102,21 @@ class Illumination:
         update = self._pipeline.update(frames, poses)
         if not self._collector.stayed_whole():
             update = self._pipeline.update(self._collector.recollect(), poses)
-        if any(stage.ran for stage in update.stages):
+        ran = any(stage.ran for stage in update.stages)
+        if ran:
             self._updates += 1
             self._last_run = update
+        if ran or self._collector.had_news:
+            self._ledger.add(update.stages)
         revisions = [pose.revision for pose in poses]
         # A moved object may have the same SH as before, but clients wait for the revision of its pose.
+        before = self._packet
         if update.revision != self._published_revision or revisions != self._published_poses:
             self._packet = self._writer.write(update, poses)
             self._published_revision, self._published_poses = update.revision, revisions
+        if self._packet != before or now_s - self._published_s >= REPEAT_PERIOD_S:
             self._put_packet(now_s)
-        elif now_s - self._published_s >= REPEAT_PERIOD_S:
-            self._put_packet(now_s)
+        self._atlas_due |= any(stage.name == "gather" and stage.ran for stage in update.stages)
         self._step_atlas(state.atlas_wanted, update.timestamp_ns, now_s)
 
     def _put_packet(self, now_s: float) -> None:
@@ -119,9 +126,10 @@ class Illumination:
     def _step_atlas(self, wanted: bool, timestamp_ns: int, now_s: float) -> None:
         if wanted and not self._atlas_wanted:
             self._atlas.restart()
+            self._atlas_due = True
         self._atlas_wanted = wanted
-        if wanted and now_s - self._atlas_s >= ATLAS_PERIOD_S:
-            self._atlas_s = now_s
+        if wanted and self._atlas_due and now_s - self._atlas_s >= ATLAS_PERIOD_S:
+            self._atlas_s, self._atlas_due = now_s, False
             tiles = self._atlas.changes(self._pipeline.texel_radiance, timestamp_ns)
             if tiles is not None:
                 self._worker.bus.put(LIGHT_ATLAS, encode_atlas_tiles(tiles), must_arrive=True)
@@ -141,18 +149,9 @@ class Illumination:
             "updates": self._updates,
             "torn_frames": self._collector.torn,
             "atlas_wanted": self._atlas_wanted,
+            **self._ledger.report(),
         }
         if self._last_run is not None:
-            status["stages"] = [
-                {
-                    "name": s.name,
-                    "ran": s.ran,
-                    "reason": s.reason,
-                    "wall_ms": round(s.wall_ms, 3),
-                    "cpu_ms": round(s.cpu_ms, 3),
-                }
-                for s in self._last_run.stages
-            ]
             status["counters"] = self._last_run.counters
             status["threshold"] = [float(value) for value in self._last_run.threshold]
         return status
@@ -199,6 +198,7 @@ def main(worker: Worker) -> None:
         PacketWriter.for_room(mesh, time.monotonic_ns() // 1_000_000),
         AtlasChannel(build_downsampler(texels), room_revision(mesh.content_hash)),
         [object_bounds(load_source_model(item.model_path).positions) for item in room.objects],
+        WorkLedger(room.change_tolerances),
     )
     worker.wait_for_control(20.0)
     signal = FrameSignal(worker.spec.signal_fd)
@@ -206,11 +206,12 @@ def main(worker: Worker) -> None:
     camera_ids = [camera.camera_id for camera in room.cameras]
     # A camera asked for one frame in two seconds is not stale in between.
     stale_after_s = max(STALE_AFTER_S, 3.0 / (worker.spec.options.get("frame_rate") or room.frame_rate))
+    worker.describe(lambda: illumination.status(camera_ids, stale_after_s))
     while not worker.stop.is_set():
         state = worker.control
         assert state is not None
         illumination.step(state, time.monotonic())
-        worker.beat(preparing="", **illumination.status(camera_ids, stale_after_s))
+        worker.beat(preparing="")
         signal.wait(_WAIT_S)
 
 

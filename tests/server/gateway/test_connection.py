@@ -74,6 +74,20 @@ def test_repeated_packet_is_not_sent_again(start_gateway: StartGateway) -> None:
     assert received in ([1, 2], [2])
 
 
+def test_light_that_stays_is_kept_alive_by_heartbeats_alone(start_gateway: StartGateway) -> None:
+    """The illumination process repeats its packet every second for gateways that have just started; tablets hear none of it."""
+    gateway = start_gateway()
+    tablet = gateway.tablet()
+    gateway.hub.publish_light(light_bytes(1))
+    tablet.read_until(codec.LightPacket)
+    received = []
+    for _ in range(3):
+        gateway.hub.publish_light(light_bytes(1))
+        received.append(tablet.websocket.recv(5))
+    assert {codec.peek_header(data).message_type for data in received} == {codec.MessageType.STATUS}
+    assert max(map(len, received)) <= 32 + 4 * len(codec.decode_status(received[0]).camera_ages)
+
+
 def test_plain_encoding_on_request(start_gateway: StartGateway) -> None:
     gateway = start_gateway()
     tablet = gateway.tablet()

@@ -85,6 +85,25 @@ async def test_atlas_of_another_room_replaces_the_old_one() -> None:
     assert [(message.width, message.positions.tolist()) for message in tiles] == [(128, [[2, 0]])]
 
 
+def test_a_repeated_packet_is_not_even_read(monkeypatch: pytest.MonkeyPatch) -> None:
+    hub = LightHub()
+    hub.publish_light(light_bytes(1))
+    monkeypatch.setattr("nearfield_server.gateway.hub.LightOffer", None)
+    hub.publish_light(light_bytes(1))
+    with pytest.raises(TypeError):
+        hub.publish_light(light_bytes(2))
+
+
+def test_no_heartbeat_is_made_for_nobody() -> None:
+    hub = LightHub()
+    hub.send_status()
+    client = hub.join()
+    [status] = drain(client, ClientSession())
+    assert status.sequence == 1
+    hub.send_status()
+    assert [status.sequence for status in drain(client, ClientSession())] == [2]
+
+
 def test_junk_is_refused_where_it_is_published() -> None:
     hub = LightHub()
     with pytest.raises(DecodeError):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from nearfield_protocol.codec import VAL_DTYPE, decode_light_packet
@@ -28,6 +30,11 @@ def _mesh() -> RoomMesh:
     )
 
 
+def _state(pose_revision: int) -> ControlState:
+    placement = ObjectPlacement(revision=pose_revision, world_from_object=np.eye(4))
+    return ControlState(revision=1, light_weights=(), objects=(placement,))
+
+
 def test_a_packet_carries_lights_sh_and_revisions() -> None:
     vals = np.zeros(8, VAL_DTYPE)
     vals["position"] = [3.0, 2.0, 4.0]  # the far corner of the room
@@ -38,14 +45,11 @@ def test_a_packet_carries_lights_sh_and_revisions() -> None:
     update = LightUpdate(
         revision=3, timestamp_ns=77, vals=vals, object_sh=sh, threshold=np.ones(3, np.float32), stages=()
     )
-    state = ControlState(
-        revision=1, light_weights=(), objects=(ObjectPlacement(revision=12, world_from_object=np.eye(4)),)
-    )
+    state = _state(12)
     bounds = [object_bounds(np.array([[0.0, 0, 0], [2, 2, 2]]))]
     writer = PacketWriter.for_room(_mesh(), first_sequence=0xFFFFFFFE)
-    packets = [decode_light_packet(writer.write(update, object_poses(state, bounds))) for _ in range(2)]
-    assert [packet.sequence for packet in packets] == [0xFFFFFFFF, 0]
-    packet = packets[0]
+    packet = decode_light_packet(writer.write(update, object_poses(state, bounds)))
+    assert packet.sequence == 0xFFFFFFFF
     assert packet.timestamp_ns == 77
     assert packet.room_revision == room_revision(HASH) == 0x89ABCDEF
     assert packet.object_revisions.tolist() == [12]
@@ -53,6 +57,33 @@ def test_a_packet_carries_lights_sh_and_revisions() -> None:
     np.testing.assert_allclose(packet.vals["position"][2], [3, 2, 4], atol=4.01 / 65535)
     np.testing.assert_allclose(packet.vals["radiant_intensity"][2], [4, 2, 1], atol=4 / 256)
     np.testing.assert_allclose(packet.object_sh, sh, rtol=2**-11)
+
+
+def test_light_that_is_the_same_on_the_wire_is_the_same_packet() -> None:
+    vals = np.zeros(8, VAL_DTYPE)
+    vals["position"], vals["normal"], vals["area"] = [1.0, 1.0, 1.0], [0, 1, 0], 0.1
+    vals["radiant_intensity"] = [4.0, 2.0, 1.0]
+    update = LightUpdate(
+        revision=1,
+        timestamp_ns=5,
+        vals=vals,
+        object_sh=np.ones((1, 9, 3), np.float32),
+        threshold=np.ones(3, np.float32),
+        stages=(),
+    )
+    poses = object_poses(_state(12), [object_bounds(np.zeros((1, 3)))])
+    writer = PacketWriter.for_room(_mesh(), first_sequence=0xFFFFFFFE)
+    first = writer.write(update, poses)
+    moved = vals.copy()
+    moved["radiant_intensity"] *= 1.0001  # far below half a step of nine bits
+    assert writer.write(replace(update, revision=2, timestamp_ns=9, vals=moved), poses) is first
+    moved["radiant_intensity"] *= 1.01
+    second = writer.write(replace(update, revision=3, timestamp_ns=10, vals=moved), poses)
+    assert decode_light_packet(second).sequence == 0
+    assert decode_light_packet(second).timestamp_ns == 10
+    # Clients wait for the revision of a pose, also where the light is the same.
+    third = writer.write(update, object_poses(_state(13), [object_bounds(np.zeros((1, 3)))]))
+    assert decode_light_packet(third).object_revisions.tolist() == [13]
 
 
 def test_the_bounding_sphere_holds_all_points() -> None:
