@@ -1,6 +1,8 @@
 /** `window.bench`: draws the same scene with several renderers, frame by frame as the benchmark asks. */
 import { Ours } from './ours'
+import { PlayCanvas } from './playcanvas'
 import { type BenchLight, type BenchScene, loadBenchScene, readLight } from './scene'
+import { ThreeDifferential } from './threeDifferential'
 import { ThreeForward } from './threeForward'
 import { type DrawingOptions, type FrameKind, finishFrame, type Variant } from './variant'
 
@@ -14,6 +16,9 @@ interface Setting {
 const MAKERS: Readonly<Record<string, (setting: Setting) => Variant | Promise<Variant>>> = {
   ours: ({ scene, light, exposure, drawing }) => Ours.create(scene, light, exposure, drawing),
   three: ({ scene, light, exposure, drawing }) => new ThreeForward(scene, light, exposure, drawing),
+  differential: ({ scene, light, exposure, drawing }) =>
+    new ThreeDifferential(scene, light, exposure, drawing),
+  playcanvas: ({ scene, light, exposure, drawing }) => PlayCanvas.create(scene, light, exposure, drawing),
 }
 
 let scene: BenchScene | null = null

@@ -15,6 +15,7 @@ const MOVED: Readonly<
   'light colour': { lights: false, colours: true, objects: false, video: false },
   'lights moved': { lights: true, colours: true, objects: false, video: false },
   'objects moved': { lights: false, colours: false, objects: true, video: false },
+  'same maps': { lights: true, colours: true, objects: true, video: true },
   camera: { lights: false, colours: false, objects: false, video: false },
 }
 

@@ -2,7 +2,7 @@
 import { LinearToneMapping, SRGBColorSpace } from 'three'
 import type { BenchLight, BenchScene } from './scene'
 import { ThreeScene } from './threeScene'
-import type { DrawingOptions, FrameKind, Variant } from './variant'
+import type { DrawingOptions, Variant } from './variant'
 
 export class ThreeForward implements Variant {
   readonly #three: ThreeScene
@@ -23,8 +23,8 @@ export class ThreeForward implements Variant {
     return this.#three.gl
   }
 
-  draw(frame: number, kind: FrameKind): void {
-    if (kind === 'full') this.#three.move(frame)
+  draw(frame: number): void {
+    this.#three.move(frame)
     this.#three.renderer.render(this.#three.scene, this.#three.camera)
   }
 

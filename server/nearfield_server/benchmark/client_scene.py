@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -21,7 +21,8 @@ from nearfield_server.records import LightSettings, ObjectPose
 from nearfield_server.scene.bundle import load_bundle
 from nearfield_server.scene.room_config import room_from_bundle
 
-_LAB: Final = Path(__file__).resolve().parents[1] / "rooms" / "lab"
+LAB: Final = Path(__file__).resolve().parents[1] / "rooms" / "lab"
+"""The room that comes with the package."""
 _PRESET: Final = "medium"
 
 
@@ -34,17 +35,18 @@ class ClientScene:
     exposure: float
 
 
-def lab_scene(slots: tuple[int, ...], progress: Callable[[str], None]) -> ClientScene:
-    """The embedded lab at nominal light.
+def client_scene(folder: Path, slots: Sequence[int], progress: Callable[[str], None]) -> ClientScene:
+    """A room with its virtual objects, at nominal light.
 
     Args:
+        folder: an evaluation bundle.
         slots: numbers of VAL slots to make packets for.
         progress: called with a line of text before each step.
 
     Raises:
-        AssetError: this installation has no demo room.
+        AssetError: the bundle is broken or missing.
     """
-    bundle = load_bundle(_LAB)
+    bundle = load_bundle(folder)
     room = room_from_bundle(bundle)
     progress("geometry of the room")
     mesh, texels, table, fill, hidden = load_or_build(room)

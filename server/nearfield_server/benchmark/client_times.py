@@ -1,7 +1,7 @@
 """What a frame of the client costs next to other renderers: CPU time of Chromium's GPU process, software rasterisers.
 
 Variants take turns within every round, so that the ratios of a round hold on a busy machine; results are medians over rounds.
-What each variant draws, and what a full frame is: client_web/bench/variant.ts.
+What each variant draws, and what a full frame is: client_web/bench/variant.ts. How lights become those of other engines: lights.ts.
 """
 
 from __future__ import annotations
@@ -9,19 +9,21 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, Final
 
-from nearfield_server.benchmark.client_page import RASTERISERS, BenchPage, open_bench_page, require_built_page
-from nearfield_server.benchmark.client_scene import ClientScene, lab_scene
+from nearfield_server.benchmark.client_page import (
+    RASTERISERS,
+    BenchPage,
+    FrameCost,
+    open_bench_page,
+    require_built_page,
+)
+from nearfield_server.benchmark.client_scene import LAB, ClientScene, client_scene
 from nearfield_server.benchmark.ratios import ratio_spread, spread
 
-WIDTH: Final = 960
-HEIGHT: Final = 540
-_FRAMES: Final = 3
-"""Frames per sample."""
 Progress = Callable[[str], None]
 
 
@@ -39,63 +41,113 @@ class Variant:
         return f"{self.maker}{self.slots}"
 
 
-VARIANTS: Final = {
-    "ours16": Variant(maker="ours", slots=16),
-    "ours64": Variant(maker="ours", slots=64),
-    "ours_video_only": Variant(maker="ours", slots=16, kind="video"),
-    "three16": Variant(maker="three", slots=16),
-}
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Plan:
+    """How much is measured: interleaved rounds, frames per sample, and the size of the pictures in pixels."""
+
+    rounds: int
+    frames: int
+    width: int = 960
+    height: int = 540
+
+
 RATIOS: Final = {
     "frame_over_three16": ("ours16", "three16"),
+    "frame_over_differential": ("ours16", "differential16"),
+    "frame_over_playcanvas16": ("ours16", "playcanvas16"),
+    "frame_over_playcanvas64": ("ours64", "playcanvas64"),
     "vals64_over_vals16": ("ours64", "ours16"),
-    "video_only_over_full": ("ours_video_only", "ours16"),
+    "video_only_over_full": ("ours16_video", "ours16"),
 }
+"""Reported ratios of GPU-process CPU time."""
+EXTRA_RATIOS: Final = {"frame_over_playcanvas64_same_maps": ("ours64", "playcanvas64_same_maps")}
+"""Against a PlayCanvas that redraws no more shadow maps per frame than ours: what the budget alone brings."""
 BREAKDOWN: Final = ("video", "light colour", "lights moved", "objects moved", "camera")
 """One thing changes per frame: what a frame of ours costs then."""
 
+_FULL: Final = {"llvmpipe": Plan(rounds=11, frames=2), "swiftshader": Plan(rounds=7, frames=1)}
+_QUICK: Final = {"llvmpipe": Plan(rounds=4, frames=1), "swiftshader": Plan(rounds=2, frames=1)}
+_TINY: Final = {name: Plan(rounds=1, frames=1, width=96, height=54) for name in RASTERISERS}
 
-def measure_client(out: Path, quick: bool, progress: Progress) -> dict[str, Any]:
+
+def make_variants(few: int, many: int) -> dict[str, Variant]:
+    """All variants, by the names that stand for 16 and 64 VALs.
+
+    Args:
+        few: slots of the variants named 16.
+        many: slots of the variants named 64.
+    """
+    return {
+        "ours16": Variant(maker="ours", slots=few),
+        "ours64": Variant(maker="ours", slots=many),
+        "ours16_video": Variant(maker="ours", slots=few, kind="video"),
+        "three16": Variant(maker="three", slots=few),
+        "differential16": Variant(maker="differential", slots=few),
+        "playcanvas16": Variant(maker="playcanvas", slots=few),
+        "playcanvas64": Variant(maker="playcanvas", slots=many),
+        "playcanvas64_same_maps": Variant(maker="playcanvas", slots=many, kind="same maps"),
+    }
+
+
+def measure_client(out: Path, quick: bool, progress: Progress, *, tiny: bool = False) -> dict[str, Any]:
     """Time all variants on both software rasterisers.
 
     Args:
         out: existing folder; a picture of every variant is written there.
         quick: fewer rounds, for about two minutes in all.
         progress: called with a line of text before each step.
+        tiny: proves that everything runs, with few lights and small pictures; the figures say nothing.
 
     Returns:
-        The ratios (medians on llvmpipe), and `rasterisers`: per rasteriser the ratios, their `spread`, and cost per variant.
+        The ratios (medians on llvmpipe), and `rasterisers`: per rasteriser the ratios, their `spread`, and `cpu_ms` per variant.
 
     Raises:
         ServiceError: the page is not built, there is no browser, or the page fails.
     """
     require_built_page()
-    scene = lab_scene(tuple(sorted({variant.slots for variant in VARIANTS.values()})), progress)
-    rounds = {"llvmpipe": 5 if quick else 15, "swiftshader": 3 if quick else 9}
-    rasterisers = {name: measure_on(scene, name, rounds[name], out, progress) for name in RASTERISERS}
+    variants = make_variants(2, 4) if tiny else make_variants(16, 64)
+    plans = _TINY if tiny else _QUICK if quick else _FULL
+    scene = client_scene(LAB, sorted({variant.slots for variant in variants.values()}), progress)
+    rasterisers = {
+        name: measure_on(scene, name, variants, plan, out, progress) for name, plan in plans.items()
+    }
     return {**{name: rasterisers["llvmpipe"][name] for name in RATIOS}, "rasterisers": rasterisers}
 
 
 def measure_on(
-    scene: ClientScene, rasteriser: str, rounds: int, out: Path, progress: Progress, *, frames: int = _FRAMES
+    scene: ClientScene,
+    rasteriser: str,
+    variants: Mapping[str, Variant],
+    plan: Plan,
+    out: Path,
+    progress: Progress,
+    **page_options: Any,
 ) -> dict[str, Any]:
-    """Time all variants on one rasteriser; see `measure_client`."""
-    samples: dict[str, dict[str, list[float]]] = {
-        name: {"gpu_cpu_ms": [], "page_cpu_ms": [], "wall_ms": []} for name in VARIANTS
-    }
-    with open_bench_page(scene, rasteriser, WIDTH, HEIGHT) as page:
-        vals = create_variants(page, scene, VARIANTS, progress)
-        write_pictures(page, rasteriser, out)
-        for number in range(rounds):
-            progress(f"client on {rasteriser}: round {number + 1} of {rounds}")
-            for name, variant in VARIANTS.items():
-                cost = page.measure(variant.key, variant.kind, frames)
-                for part, values in samples[name].items():
-                    values.append(getattr(cost, part))
-    return {**summarise(samples, RATIOS), "rounds": rounds, "vals": vals}
+    """Time variants on one rasteriser; see `measure_client`.
+
+    Args:
+        scene: what is drawn, with a packet for every number of slots.
+        rasteriser: a key of `RASTERISERS`.
+        variants: by name; ratios of those that are missing are left out.
+        plan: how much is measured.
+        out: existing folder for a picture of every variant.
+        progress: called with a line of text before each step.
+        page_options: for `open_bench_page`.
+    """
+    costs: dict[str, list[FrameCost]] = {name: [] for name in variants}
+    with open_bench_page(scene, rasteriser, plan.width, plan.height, **page_options) as page:
+        vals = _create(page, scene, variants, progress)
+        for key in vals:
+            (out / f"client_{rasteriser}_{key}.png").write_bytes(page.picture(key))
+        for number in range(plan.rounds):
+            progress(f"client on {rasteriser}: round {number + 1} of {plan.rounds}")
+            for name, variant in variants.items():
+                costs[name].append(page.measure(variant.key, variant.kind, plan.frames))
+    return {**summarise(costs, RATIOS | EXTRA_RATIOS), "rounds": plan.rounds, "vals": vals}
 
 
-def create_variants(
-    page: BenchPage, scene: ClientScene, variants: dict[str, Variant], progress: Progress
+def _create(
+    page: BenchPage, scene: ClientScene, variants: Mapping[str, Variant], progress: Progress
 ) -> dict[str, int]:
     """Make one context per key; returns the number of VALs that each draws with."""
     vals: dict[str, int] = {}
@@ -107,54 +159,51 @@ def create_variants(
     return vals
 
 
-def write_pictures(page: BenchPage, rasteriser: str, out: Path) -> None:
-    """One PNG per context."""
-    for key in dict.fromkeys(variant.key for variant in VARIANTS.values()):
-        (out / f"client_{rasteriser}_{key}.png").write_bytes(page.picture(key))
-
-
 def summarise(
-    samples: dict[str, dict[str, list[float]]], ratios: dict[str, tuple[str, str]]
+    costs: Mapping[str, Sequence[FrameCost]], ratios: Mapping[str, tuple[str, str]]
 ) -> dict[str, Any]:
     """Ratios of GPU-process CPU time with their spread, and median costs per variant.
 
     Args:
-        samples: variant -> part of the cost -> one value per round.
-        ratios: name -> numerator and denominator variant.
+        costs: one per round for every variant.
+        ratios: name -> numerator and denominator variant; left out where a variant is missing.
     """
-    spreads = {
-        name: ratio_spread(samples[above]["gpu_cpu_ms"], samples[below]["gpu_cpu_ms"])
-        for name, (above, below) in ratios.items()
+    parts = {
+        field.name: {name: [getattr(cost, field.name) for cost in rounds] for name, rounds in costs.items()}
+        for field in fields(FrameCost)
     }
-    walls = {
-        name: ratio_spread(samples[above]["wall_ms"], samples[below]["wall_ms"]).median
-        for name, (above, below) in ratios.items()
-    }
-    parts = {"cpu_ms": "gpu_cpu_ms", "page_cpu_ms": "page_cpu_ms", "wall_ms": "wall_ms"}
+    wanted = {name: pair for name, pair in ratios.items() if all(side in costs for side in pair)}
+    spreads, walls = (
+        {
+            name: ratio_spread(parts[part][above], parts[part][below])
+            for name, (above, below) in wanted.items()
+        }
+        for part in ("gpu_cpu_ms", "wall_ms")
+    )
     return {
         **{name: value.median for name, value in spreads.items()},
         "spread": {name: value.as_dict() for name, value in spreads.items()},
-        "wall_ratios": walls,
+        "wall_ratios": {name: value.median for name, value in walls.items()},
         **{
-            key: {name: spread(parts_of[part]).median for name, parts_of in samples.items()}
-            for key, part in parts.items()
+            "cpu_ms" if part == "gpu_cpu_ms" else part: {name: spread(v).median for name, v in values.items()}
+            for part, values in parts.items()
         },
     }
 
 
 def measure_breakdown(
-    scene: ClientScene, rasteriser: str, slots: int, rounds: int, progress: Progress, *, frames: int = _FRAMES
+    scene: ClientScene, rasteriser: str, slots: int, plan: Plan, progress: Progress
 ) -> dict[str, Any]:
-    """Cost of a frame of ours in which one thing changed, as a share of a full frame of the same round."""
+    """Cost of a frame of ours in which one thing changed, also as a share of a full frame of the same round."""
     kinds = ("full", *BREAKDOWN)
     costs: dict[str, list[float]] = {kind: [] for kind in kinds}
     ran: dict[str, list[str]] = {}
-    with open_bench_page(scene, rasteriser, WIDTH, HEIGHT) as page:
+    with open_bench_page(scene, rasteriser, plan.width, plan.height) as page:
         page.create("ours", "ours", scene.packets[slots], scene.exposure)
-        for number in range(rounds):
-            progress(f"breakdown on {rasteriser}: round {number + 1} of {rounds}")
+        for number in range(plan.rounds):
+            progress(f"breakdown on {rasteriser}: round {number + 1} of {plan.rounds}")
             for kind in kinds:
-                costs[kind].append(page.measure("ours", kind, frames).gpu_cpu_ms)
+                costs[kind].append(page.measure("ours", kind, plan.frames).gpu_cpu_ms)
                 ran[kind] = [each["name"] for each in page.passes("ours") if each["ran"]]
     return {
         kind: {
@@ -168,27 +217,31 @@ def measure_breakdown(
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Command line for work on the renderer: ratios, or the breakdown, on one rasteriser, as JSON."""
+    names = list(make_variants(16, 64))
     parser = argparse.ArgumentParser(prog="python -m nearfield_server.benchmark.client_times")
     parser.add_argument("--out", type=Path, default=Path("out"), help="folder for pictures")
     parser.add_argument("--rasteriser", choices=sorted(RASTERISERS), default="llvmpipe")
     parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--frames", type=int, default=2, help="frames per sample")
+    parser.add_argument("--variants", nargs="+", choices=names, default=names, help="default: all")
     parser.add_argument(
-        "--breakdown", type=int, metavar="SLOTS", help="cost of single changes with 16 or 64 VALs"
+        "--breakdown", type=int, metavar="SLOTS", help="cost of single changes with so many slots"
     )
     chosen = parser.parse_args(arguments)
     chosen.out.mkdir(parents=True, exist_ok=True)
+    plan = Plan(rounds=chosen.rounds, frames=chosen.frames)
+    variants = {name: variant for name, variant in make_variants(16, 64).items() if name in chosen.variants}
 
     def say(text: str) -> None:
         print(text, file=sys.stderr)  # noqa: T201 - this is the command line
 
     require_built_page()
-    scene = lab_scene((16, 64), say)
+    slots = {chosen.breakdown} if chosen.breakdown else {variant.slots for variant in variants.values()}
+    scene = client_scene(LAB, sorted(slots), say)
     if chosen.breakdown:
-        result = measure_breakdown(
-            scene, chosen.rasteriser, chosen.breakdown, chosen.rounds, say, frames=chosen.frames
-        )
+        result = measure_breakdown(scene, chosen.rasteriser, chosen.breakdown, plan, say)
     else:
-        result = measure_on(scene, chosen.rasteriser, chosen.rounds, chosen.out, say, frames=chosen.frames)
+        result = measure_on(scene, chosen.rasteriser, variants, plan, chosen.out, say)
     print(json.dumps(result, indent=2))  # noqa: T201
     return 0
 
