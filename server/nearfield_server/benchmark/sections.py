@@ -32,8 +32,13 @@ def server_section(setup: BenchSetup) -> dict[str, Any]:
 
 
 def client_section(setup: BenchSetup) -> dict[str, Any]:
-    """Frames of the client next to three.js and PlayCanvas."""
-    raise ServiceError("the client's frame times are not measured by this build")
+    """Frames of the client next to three.js and PlayCanvas; pictures of all of them go to the folder `client`."""
+    # Brings the browser's libraries; the other sections do without.
+    from nearfield_server.benchmark.client_times import measure_client
+
+    pictures = setup.out / "client"
+    pictures.mkdir(parents=True, exist_ok=True)
+    return measure_client(pictures, setup.quick, setup.say, tiny=setup.tiny)
 
 
 def growth_section(setup: BenchSetup) -> dict[str, Any]:
