@@ -31,15 +31,14 @@ class HiddenLamps:
         self._hidden = hidden
         self._shining = np.zeros(hidden.num_groups, dtype=np.bool_)
         upload = context.storage_buffer
-        receivers = np.zeros((hidden.receiver.size + 1, 2), dtype=np.uint32)
-        receivers[:-1, 0], receivers[:, 1] = hidden.receiver, hidden.ray_start
         # A receiver that sees nothing has no rays; buffers hold at least one row.
         rays = np.zeros((max(1, hidden.ray_texel.size), 2), dtype=np.uint32)
         rays[: hidden.ray_texel.size, 0] = hidden.ray_texel
         rays[: hidden.ray_texel.size, 1] = hidden.ray_weight.astype(np.float32).view(np.uint32)
-        self._receivers, self._rays = upload(receivers), upload(rays)
+        self._first_rays, self._rays = upload(hidden.ray_start.astype(np.uint32)), upload(rays)
+        self._patches = upload(hidden.receiver.astype(np.uint32))
         self._texels = upload(np.stack([hidden.texels, hidden.group], axis=1).astype(np.uint32))
-        self._shown = context.reserve_buffer(hidden.receiver.size * 6 * 4)
+        self._shown = context.reserve_buffer(hidden.receiver.shape[0] * 6 * 4)
         self._values = context.reserve_buffer(hidden.num_groups * 3 * 4)
 
     def update(self, radiance: Any, run: Run) -> None:
@@ -49,7 +48,9 @@ class HiddenLamps:
             radiance: storage buffer of (N, 3) float32, freshly gathered.
             run: starts a shader.
         """
-        run("receivers", self._hidden.receiver.size, [radiance, self._receivers, self._rays, self._shown])
+        num_receivers, patch_texels = self._hidden.receiver.shape
+        buffers = [radiance, self._first_rays, self._rays, self._patches, self._shown]
+        run("receivers", num_receivers, buffers, uPatchTexels=patch_texels)
         shown: NDArray[np.float32] = np.frombuffer(self._shown.read(), dtype=np.float32).reshape(-1, 6)
         values = explain_receivers(self._hidden, shown[:, :3], shown[:, 3:], self._shining)
         self._shining = values.sum(axis=1) > 0.0

@@ -22,6 +22,7 @@ from scipy.sparse.csgraph import connected_components
 
 from nearfield_server.pipeline.blocks import BLOCK
 from nearfield_server.pipeline.probes import ProbeTracer
+from nearfield_server.pipeline.receiver_patches import PATCH_TEXELS, find_patches
 from nearfield_server.radiometry.cube import cube_directions, cube_solid_angles
 from nearfield_server.records import RoomMesh, TexelGeometry, UnseenFill
 
@@ -45,6 +46,8 @@ KEEP_SHARE: Final = 0.2
 MAX_SPREAD: Final = 0.35
 """Median deviation of the radiance according to single receivers, relative to its median."""
 MIN_RECEIVERS: Final = _RECEIVERS // 2
+_PATCH_REACH: Final = 0.1
+"""Radius of the patch around a receiver, relative to the distance of the hidden surface."""
 _WELD: Final = 1e-5
 
 
@@ -54,7 +57,8 @@ class HiddenLight:
 
     Attributes:
         texels: (H,) positions of the texels of hidden surfaces. group: (H,) surface of each, 0 to G - 1.
-        receiver: (R,) seen texels, grouped by the hidden surface that each was chosen for.
+        receiver: (R, K) seen texels around each receiver, which shows their mean; grouped by the hidden surface that it was
+            chosen for.
         group_rows: (G + 1,) receivers of surface g are rows `group_rows[g]:group_rows[g + 1]`.
         inverse_albedo: (R, 3) pi / albedo of the receivers.
         form_factor: (R, G) irradiance on a receiver per unit radiance of a hidden surface.
@@ -84,7 +88,7 @@ def no_hidden_light() -> HiddenLight:
     return HiddenLight(
         texels=none,
         group=none,
-        receiver=none,
+        receiver=none.reshape(0, PATCH_TEXELS),
         group_rows=np.zeros(1, dtype=np.int64),
         inverse_albedo=np.zeros((0, 3)),
         form_factor=np.zeros((0, 0)),
@@ -127,9 +131,11 @@ def find_hidden_light(
     receivers: list[int] = []
     owners: list[int] = []
     factors: list[NDArray[np.float64]] = []
+    reach: list[float] = []
     rays: list[tuple[NDArray[np.int32], NDArray[np.float32]]] = []
     for surface in range(num_groups):
         members = hidden[group == surface]
+        centre = texels.position[members].mean(axis=0, dtype=np.float64)
         for receiver in _choose_receivers(texels, members, usable, probe_rays, directions):
             position = texels.position[receiver].astype(np.float64)
             normal = texels.normal[receiver].astype(np.float64)
@@ -144,6 +150,7 @@ def find_hidden_light(
             receivers.append(receiver)
             owners.append(surface)
             factors.append(row)
+            reach.append(_PATCH_REACH * float(np.linalg.norm(centre - position)))
             rays.append((seen[visible].astype(np.int32), weight[visible].astype(np.float32)))
     if not receivers:
         return None
@@ -151,7 +158,7 @@ def find_hidden_light(
     return HiddenLight(
         texels=hidden,
         group=group,
-        receiver=chosen,
+        receiver=find_patches(mesh, texels, usable, chosen, np.array(reach)),
         group_rows=np.searchsorted(owners, np.arange(num_groups + 1)),
         inverse_albedo=np.pi / albedo[chosen],
         form_factor=np.stack(factors),
@@ -274,14 +281,15 @@ def estimate_hidden_radiance(
     Returns:
         (G, 3) float64 >= 0.
     """
-    visible = np.empty((hidden.receiver.size, 3))
+    visible = np.empty((hidden.receiver.shape[0], 3))
     _visible_irradiance(hidden.ray_start, hidden.ray_texel, hidden.ray_weight, radiance, visible)
-    return explain_receivers(hidden, radiance[hidden.receiver], visible, shining)
+    shown = radiance[hidden.receiver].mean(axis=1, dtype=np.float64)
+    return explain_receivers(hidden, shown, visible, shining)
 
 
 def explain_receivers(
     hidden: HiddenLight,
-    receiver_radiance: NDArray[np.float32],
+    receiver_radiance: NDArray[np.floating[Any]],
     visible_irradiance: NDArray[np.floating[Any]],
     shining: NDArray[np.bool_],
 ) -> NDArray[np.float64]:
@@ -289,14 +297,14 @@ def explain_receivers(
 
     Args:
         hidden: static data.
-        receiver_radiance: (R, 3) gathered radiance of the receivers.
+        receiver_radiance: (R, 3) mean gathered radiance of each receiver's texels.
         visible_irradiance: (R, 3) irradiance on them from everything visible.
         shining: as for `estimate_hidden_radiance`.
 
     Returns:
         (G, 3) float64 >= 0.
     """
-    measured = receiver_radiance.astype(np.float64) * hidden.inverse_albedo
+    measured = np.asarray(receiver_radiance, dtype=np.float64) * hidden.inverse_albedo
     return np.asarray(
         _explain(
             hidden.form_factor,

@@ -23,11 +23,11 @@ def estimate_hidden_radiance_reference(
 ) -> NDArray[np.float64]:
     """(G, 3) radiance of every hidden surface; arguments as for the fast version, all evidence anew in every round."""
     atlas = radiance.astype(np.float64)
-    arriving = atlas[hidden.receiver] * hidden.inverse_albedo
-    ray_receiver = np.repeat(np.arange(hidden.receiver.size), np.diff(hidden.ray_start))
+    arriving = atlas[hidden.receiver].mean(axis=1) * hidden.inverse_albedo
+    ray_receiver = np.repeat(np.arange(len(hidden.receiver)), np.diff(hidden.ray_start))
     seen = hidden.ray_weight.astype(np.float64)[:, None] * atlas[hidden.ray_texel]
     visible = np.stack(
-        [np.bincount(ray_receiver, seen[:, channel], hidden.receiver.size) for channel in range(3)], axis=1
+        [np.bincount(ray_receiver, seen[:, channel], len(hidden.receiver)) for channel in range(3)], axis=1
     )
     missing = arriving - visible
     needed = np.where(shining, KEEP_SHARE, ACCEPT_SHARE)

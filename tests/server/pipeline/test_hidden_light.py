@@ -150,7 +150,7 @@ def test_more_evidence_is_needed_to_switch_on_than_to_stay_on() -> None:
     found = HiddenLight(
         texels=np.zeros(1, dtype=np.int32),
         group=np.zeros(1, dtype=np.int32),
-        receiver=np.arange(5, dtype=np.int32),
+        receiver=np.arange(5, dtype=np.int32)[:, None],
         group_rows=np.array([0, 5]),
         inverse_albedo=np.full((5, 3), np.pi / ALBEDO),
         form_factor=np.full((5, 1), 0.1),

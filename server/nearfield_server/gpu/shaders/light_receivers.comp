@@ -4,9 +4,12 @@
 layout(local_size_x = 64) in;
 
 layout(std430, binding = 0) readonly buffer Radiance { float radiance[]; };
-layout(std430, binding = 1) readonly buffer Receivers { uvec2 receivers[]; };  // R + 1: texel, first ray
+layout(std430, binding = 1) readonly buffer FirstRays { uint firstRay[]; };    // R + 1
 layout(std430, binding = 2) readonly buffer Rays { uvec2 rays[]; };            // texel, bits of the projected solid angle
-layout(std430, binding = 3) writeonly buffer Shown { float shown[]; };         // 6 R: radiance, irradiance
+layout(std430, binding = 3) readonly buffer Patches { uint patches[]; };       // texels around each receiver
+layout(std430, binding = 4) writeonly buffer Shown { float shown[]; };         // 6 R: radiance, irradiance
+
+uniform uint uPatchTexels;
 
 shared vec3 sums[64];
 
@@ -18,7 +21,7 @@ void main() {
     uint lane = gl_LocalInvocationID.x;
     uint receiver = gl_WorkGroupID.x;
     vec3 total = vec3(0.0);
-    for (uint ray = receivers[receiver].y + lane; ray < receivers[receiver + 1u].y; ray += 64u)
+    for (uint ray = firstRay[receiver] + lane; ray < firstRay[receiver + 1u]; ray += 64u)
         total += uintBitsToFloat(rays[ray].y) * radianceOf(rays[ray].x);
     sums[lane] = total;
     barrier();
@@ -27,7 +30,9 @@ void main() {
         barrier();
     }
     if (lane == 0u) {
-        vec3 own = radianceOf(receivers[receiver].x);
+        vec3 own = vec3(0.0);
+        for (uint k = 0u; k < uPatchTexels; ++k) own += radianceOf(patches[uPatchTexels * receiver + k]);
+        own /= float(uPatchTexels);
         for (uint channel = 0u; channel < 3u; ++channel) {
             shown[6u * receiver + channel] = own[channel];
             shown[6u * receiver + 3u + channel] = sums[0][channel];
