@@ -20,7 +20,7 @@ Run = Callable[..., None]
 
 
 class HiddenLamps:
-    """Static data of the hidden surfaces on the device, and which of them shone last.
+    """Static data of the hidden surfaces on the device.
 
     Args:
         context: holds the buffers.
@@ -29,7 +29,6 @@ class HiddenLamps:
 
     def __init__(self, context: GlContext, hidden: HiddenLight) -> None:
         self._hidden = hidden
-        self._shining = np.zeros(hidden.num_groups, dtype=np.bool_)
         upload = context.storage_buffer
         # A receiver that sees nothing has no rays; buffers hold at least one row.
         rays = np.zeros((max(1, hidden.ray_texel.size), 2), dtype=np.uint32)
@@ -52,8 +51,7 @@ class HiddenLamps:
         buffers = [radiance, self._first_rays, self._rays, self._patches, self._shown]
         run("receivers", num_receivers, buffers, uPatchTexels=patch_texels)
         shown: NDArray[np.float32] = np.frombuffer(self._shown.read(), dtype=np.float32).reshape(-1, 6)
-        values = explain_receivers(self._hidden, shown[:, :3], shown[:, 3:], self._shining)
-        self._shining = values.sum(axis=1) > 0.0
+        values = explain_receivers(self._hidden, shown[:, :3], shown[:, 3:])
         self._values.write(values.astype(np.float32))
         count = self._hidden.texels.size
         run("hidden", -(-count // 64), [self._texels, self._values, radiance], uNumHidden=count)

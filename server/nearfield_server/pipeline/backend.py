@@ -82,9 +82,6 @@ class CpuBackend:
         self._settings = setup.settings
         self._fill_texels, self._fill_sources = setup.fill_texels, setup.fill_sources
         self._hidden = setup.hidden
-        self._shining: NDArray[np.bool_] = np.zeros(
-            0 if self._hidden is None else self._hidden.num_groups, dtype=np.bool_
-        )
         self._pattern = stratified_pattern(setup.settings.num_samples, setup.settings.seed)
         self._total_area = float(self._blocks.area.sum(dtype=np.float64))
         self._radiance = np.zeros((self._blocks.num_texels, 3), dtype=np.float32)
@@ -104,8 +101,7 @@ class CpuBackend:
             fill_sources=self._fill_sources,
         )
         if self._hidden is not None:
-            values = estimate_hidden_radiance(self._hidden, self._radiance, self._shining)
-            self._shining = values.sum(axis=1) > 0.0
+            values = estimate_hidden_radiance(self._hidden, self._radiance)
             write_hidden_radiance(
                 self._hidden.texels, self._hidden.group, values, self._radiance, self._block_max
             )

@@ -6,7 +6,8 @@ of the desk, the room model its albedo, and the rest of the atlas how much light
 hidden surface. Rohmer et al. 2014 name such lost light a limit of their method (section 7).
 
 Albedos of a room model are never exact, so a hidden surface is believed to shine only when it explains a good share of
-the light on several receivers, and they agree on its radiance.
+the light on several receivers, and they agree on its radiance. Belief grows steadily with the evidence: a lamp that is
+dimmed among others fades out and never pops, and nothing has to be remembered from update to update.
 """
 
 from __future__ import annotations
@@ -39,12 +40,10 @@ _MIN_FACING: Final = 0.5
 """Length of the mean normal below which a surface is too curved to be one light."""
 _OFFSET: Final = 2e-3
 """Metres by which probes are lifted off their surface."""
-ACCEPT_SHARE: Final = 0.3
-"""Share of the light on its receivers that a surface must explain before it counts as a lamp."""
-KEEP_SHARE: Final = 0.2
-"""The same for a surface that shone in the last update."""
-MAX_SPREAD: Final = 0.35
-"""Median deviation of the radiance according to single receivers, relative to its median."""
+BELIEF_SHARE: Final = (0.2, 0.4)
+"""Share of the light on its receivers that a surface explains: not believed to be a lamp below, wholly above."""
+BELIEF_SPREAD: Final = (0.4, 0.3)
+"""Median deviation of the radiance according to single receivers, relative to its median: not believed above, wholly below."""
 MIN_RECEIVERS: Final = _RECEIVERS // 2
 _PATCH_REACH: Final = 0.1
 """Radius of the patch around a receiver, relative to the distance of the hidden surface."""
@@ -268,30 +267,26 @@ def _visible_irradiance(ray_start: Any, ray_texel: Any, ray_weight: Any, radianc
         out[receiver, 0], out[receiver, 1], out[receiver, 2] = red, green, blue
 
 
-def estimate_hidden_radiance(
-    hidden: HiddenLight, radiance: NDArray[np.float32], shining: NDArray[np.bool_]
-) -> NDArray[np.float64]:
+def estimate_hidden_radiance(hidden: HiddenLight, radiance: NDArray[np.float32]) -> NDArray[np.float64]:
     """Radiance of every hidden surface from the atlas; 0 where the evidence is too weak.
 
     Args:
         hidden: static data.
         radiance: (N, 3) gathered radiance.
-        shining: (G,) surfaces that shone in the last update; they need less evidence, so that noise switches nothing.
 
     Returns:
-        (G, 3) float64 >= 0.
+        (G, 3) float64 >= 0; continuous in the atlas as long as surfaces keep their order of radiance.
     """
     visible = np.empty((hidden.receiver.shape[0], 3))
     _visible_irradiance(hidden.ray_start, hidden.ray_texel, hidden.ray_weight, radiance, visible)
     shown = radiance[hidden.receiver].mean(axis=1, dtype=np.float64)
-    return explain_receivers(hidden, shown, visible, shining)
+    return explain_receivers(hidden, shown, visible)
 
 
 def explain_receivers(
     hidden: HiddenLight,
     receiver_radiance: NDArray[np.floating[Any]],
     visible_irradiance: NDArray[np.floating[Any]],
-    shining: NDArray[np.bool_],
 ) -> NDArray[np.float64]:
     """The part of `estimate_hidden_radiance` that needs no atlas, only what the receivers show.
 
@@ -299,28 +294,29 @@ def explain_receivers(
         hidden: static data.
         receiver_radiance: (R, 3) mean gathered radiance of each receiver's texels.
         visible_irradiance: (R, 3) irradiance on them from everything visible.
-        shining: as for `estimate_hidden_radiance`.
 
     Returns:
         (G, 3) float64 >= 0.
     """
     measured = np.asarray(receiver_radiance, dtype=np.float64) * hidden.inverse_albedo
     return np.asarray(
-        _explain(
-            hidden.form_factor,
-            hidden.group_rows,
-            measured,
-            measured - visible_irradiance,
-            np.where(shining, KEEP_SHARE, ACCEPT_SHARE),
-        )
+        _explain(hidden.form_factor, hidden.group_rows, measured, measured - visible_irradiance)
     )
+
+
+@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+def _belief(share: float, spread: float) -> float:
+    """0 to 1, linear between the limits."""
+    explained = (share - BELIEF_SHARE[0]) / (BELIEF_SHARE[1] - BELIEF_SHARE[0])
+    agreed = (spread - BELIEF_SPREAD[0]) / (BELIEF_SPREAD[1] - BELIEF_SPREAD[0])
+    return min(max(explained, 0.0), 1.0) * min(max(agreed, 0.0), 1.0)
 
 
 @njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
 def _evidence(
     factors: Any, surface: int, first: int, last: int, measured: Any, missing: Any, radiance: Any
-) -> Any:
-    """Share of the receivers' irradiance that a surface explains, and how far they disagree about its radiance."""
+) -> None:
+    """Write the believed `radiance` (3,) of a surface: what its receivers miss, as far as the evidence goes."""
     count = last - first
     samples = np.empty((3, count))
     grey = np.empty(count)
@@ -328,26 +324,26 @@ def _evidence(
     used = 0
     for row in range(first, last):
         factor = factors[row, surface]
-        total = measured[row, 0] + measured[row, 1] + measured[row, 2]
-        if factor > 0.0 and total > 0.0:
+        received = measured[row, 0] + measured[row, 1] + measured[row, 2]
+        if factor > 0.0 and received > 0.0:
             for channel in range(3):
                 samples[channel, used] = missing[row, channel] / factor
             grey[used] = (missing[row, 0] + missing[row, 1] + missing[row, 2]) / factor
-            arriving[used] = factor / total
+            arriving[used] = factor / received
             used += 1
+    radiance[:] = 0.0
     if used < MIN_RECEIVERS:
-        return 0.0, np.inf
+        return
     for channel in range(3):
         radiance[channel] = max(np.median(samples[channel, :used]), 0.0)
-    sum_of_channels = radiance[0] + radiance[1] + radiance[2]
-    if not sum_of_channels > 0.0:
-        return 0.0, np.inf
-    spread = np.median(np.abs(grey[:used] - np.median(grey[:used]))) / sum_of_channels
-    return np.median(arriving[:used]) * sum_of_channels, spread
+    total = radiance[0] + radiance[1] + radiance[2]
+    if total > 0.0:
+        spread = np.median(np.abs(grey[:used] - np.median(grey[:used]))) / total
+        radiance *= _belief(np.median(arriving[:used]) * total, spread)
 
 
 @njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
-def _explain(factors: Any, group_rows: Any, measured: Any, missing: Any, needed: Any) -> Any:
+def _explain(factors: Any, group_rows: Any, measured: Any, missing: Any) -> Any:
     """Let surfaces explain the missing light one after the other, the brightest first.
 
     Lamps are small and bright, and what surrounds a lamp only repeats its light.
@@ -355,8 +351,6 @@ def _explain(factors: Any, group_rows: Any, measured: Any, missing: Any, needed:
     num_groups = factors.shape[1]
     result = np.zeros((num_groups, 3))
     found = np.zeros((num_groups, 3))
-    share = np.zeros(num_groups)
-    spread = np.zeros(num_groups)
     is_open = np.ones(num_groups, dtype=np.bool_)
     stale = np.ones(num_groups, dtype=np.bool_)
     for _ in range(num_groups):
@@ -366,12 +360,10 @@ def _explain(factors: Any, group_rows: Any, measured: Any, missing: Any, needed:
                 continue
             first, last = group_rows[surface], group_rows[surface + 1]
             if stale[surface]:
-                share[surface], spread[surface] = _evidence(
-                    factors, surface, first, last, measured, missing, found[surface]
-                )
+                _evidence(factors, surface, first, last, measured, missing, found[surface])
                 stale[surface] = False
-            believed = share[surface] >= needed[surface] and spread[surface] <= MAX_SPREAD
-            if believed and (best < 0 or found[surface].sum() > found[best].sum()):
+            believed = found[surface].sum()
+            if believed > 0.0 and (best < 0 or believed > found[best].sum()):
                 best = surface
         if best < 0:
             break

@@ -10,16 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nearfield_server.pipeline.hidden_light import (
-    ACCEPT_SHARE,
-    KEEP_SHARE,
-    MAX_SPREAD,
+    BELIEF_SHARE,
+    BELIEF_SPREAD,
     MIN_RECEIVERS,
     HiddenLight,
 )
 
 
 def estimate_hidden_radiance_reference(
-    hidden: HiddenLight, radiance: NDArray[np.floating], shining: NDArray[np.bool_]
+    hidden: HiddenLight, radiance: NDArray[np.floating]
 ) -> NDArray[np.float64]:
     """(G, 3) radiance of every hidden surface; arguments as for the fast version, all evidence anew in every round."""
     atlas = radiance.astype(np.float64)
@@ -30,15 +29,13 @@ def estimate_hidden_radiance_reference(
         [np.bincount(ray_receiver, seen[:, channel], len(hidden.receiver)) for channel in range(3)], axis=1
     )
     missing = arriving - visible
-    needed = np.where(shining, KEEP_SHARE, ACCEPT_SHARE)
     result = np.zeros((hidden.num_groups, 3))
     closed: set[int] = set()
     while True:
         candidates = {
             surface: found
             for surface in range(hidden.num_groups)
-            if surface not in closed
-            and (found := _believed(hidden, surface, arriving, missing, needed[surface])) is not None
+            if surface not in closed and (found := _believed(hidden, surface, arriving, missing)) is not None
         }
         if not candidates:
             return result
@@ -53,7 +50,6 @@ def _believed(
     surface: int,
     arriving: NDArray[np.float64],
     missing: NDArray[np.float64],
-    needed: float,
 ) -> NDArray[np.float64] | None:
     """Radiance (3,) of a surface, or None where its receivers do not testify to it."""
     rows = np.arange(hidden.group_rows[surface], hidden.group_rows[surface + 1])
@@ -68,4 +64,5 @@ def _believed(
     grey = missing[rows].sum(axis=1) / factor
     spread = np.median(np.abs(grey - np.median(grey))) / total
     share = np.median(factor / arriving[rows].sum(axis=1)) * total
-    return np.asarray(radiance) if share >= needed and spread <= MAX_SPREAD else None
+    belief = np.interp(share, BELIEF_SHARE, [0.0, 1.0]) * np.interp(spread, BELIEF_SPREAD[::-1], [1.0, 0.0])
+    return np.asarray(belief * radiance) if belief > 0.0 else None

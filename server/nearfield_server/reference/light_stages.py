@@ -131,7 +131,6 @@ class ReferenceBackend:
         self._radiance = np.zeros((setup.texels.area.shape[0], 3))
         self._threshold = np.full(3, np.inf, dtype=np.float32)
         self._auto_split = AutoSplit()
-        self._shining = np.zeros(0 if setup.hidden is None else setup.hidden.num_groups, dtype=np.bool_)
 
     def gather(self, frames: Sequence[NDArray[np.float16] | None]) -> None:
         """See `StageBackend`."""
@@ -139,8 +138,7 @@ class ReferenceBackend:
         self._radiance[self._setup.fill_texels] = self._radiance[self._setup.fill_sources]
         hidden = self._setup.hidden
         if hidden is not None:
-            values = estimate_hidden_radiance_reference(hidden, self._radiance, self._shining)
-            self._shining = values.sum(axis=1) > 0.0
+            values = estimate_hidden_radiance_reference(hidden, self._radiance)
             self._radiance[hidden.texels] = values[hidden.group]
 
     def split(self) -> NDArray[np.float32]:
