@@ -1,3 +1,4 @@
+import fc from 'fast-check'
 import { describe, expect, it } from 'vitest'
 import { evaluateSh, irradianceFromSh } from './sh'
 import { FLOATS_PER_VAL, facingIrradiance, projectVals } from './valLight'
@@ -18,6 +19,32 @@ describe('facing irradiance', () => {
 
   it('is zero behind the disc', () => {
     expect(facingIrradiance(disc, 0, [0.4, 2.5, 0]).irradiance).toEqual([0, 0, 0])
+  })
+
+  it('is zero at the place of the VAL itself, also of one without area', () => {
+    for (const area of [AREA, 0]) {
+      const val = disc.slice()
+      val[3] = area
+      expect(facingIrradiance(val, 0, [0, 2, 0]).irradiance).toEqual([0, 0, 0])
+      expect([...projectVals(val, 1, [0, 2, 0], () => 1)]).toEqual(new Array(27).fill(0))
+    }
+  })
+
+  it('never exceeds that of a hemisphere of the same radiance, however near and however small', () => {
+    // Squares of smaller numbers leave the range of doubles.
+    const offset = fc.double({ min: -1, max: 1, noNaN: true }).map((x) => (Math.abs(x) < 1e-100 ? 0 : x))
+    const decade = fc.double({ min: -12, max: 3, noNaN: true })
+    fc.assert(
+      fc.property(offset, offset, offset, decade, decade, (x, y, z, distance, size) => {
+        const [scale, area] = [10 ** distance, 10 ** size]
+        const val = Float64Array.of(0, 2, 0, area, 0, -1, 0, 0, 5 * area, 0, 0, 0, 0, 0, 0, 0)
+        const { direction, irradiance } = facingIrradiance(val, 0, [scale * x, 2 + scale * y, scale * z])
+        expect(irradiance[0]).toBeGreaterThanOrEqual(0)
+        expect(irradiance[0]).toBeLessThanOrEqual(5 * Math.PI * (1 + 1e-12))
+        const length = Math.hypot(...direction)
+        expect(length === 0 || Math.abs(length - 1) < 1e-9).toBe(true)
+      }),
+    )
   })
 })
 

@@ -20,10 +20,12 @@ export function facingIrradiance(
   const at = (offset: number): number => vals[base + offset] ?? 0
   const toVal = [at(0) - position[0], at(1) - position[1], at(2) - position[2]] as const
   const squared = toVal[0] ** 2 + toVal[1] ** 2 + toVal[2] ** 2
-  const scale = 1 / Math.sqrt(Math.max(squared, 1e-12))
+  // As in the shaders and on the server: a point at the VAL's own place has no direction to it, and receives nothing.
+  const scale = squared > 0 ? 1 / Math.sqrt(squared) : 0
   const direction: Vec3 = [toVal[0] * scale, toVal[1] * scale, toVal[2] * scale]
   const cosine = Math.max(0, -(at(4) * direction[0] + at(5) * direction[1] + at(6) * direction[2]))
-  const factor = cosine / (squared + at(3) / Math.PI)
+  const denominator = squared + at(3) / Math.PI
+  const factor = denominator > 0 ? cosine / denominator : 0
   return { direction, irradiance: [at(8) * factor, at(9) * factor, at(10) * factor] }
 }
 

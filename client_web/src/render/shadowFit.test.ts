@@ -54,6 +54,30 @@ describe('fitShadowMap', () => {
     )
   })
 
+  it('is finite wherever the light touches an object, one kilometre away as well', () => {
+    const far: Vec3 = [1000, -400, 700]
+    const place = fc.constantFrom(0, 1e-9, 1e-3, 0.5, 1, 1 + 1e-9, 1.05, 2)
+    fc.assert(
+      fc.property(sphere, direction, direction, place, fc.boolean(), (s, towards, normal, reach, away) => {
+        const centre = away ? (s.centre.map((x, i) => x + (far[i] ?? 0)) as unknown as Vec3) : s.centre
+        const at = centre.map((x, i) => x + reach * s.radius * (towards[i] ?? 0)) as unknown as Vec3
+        const fit = fitShadowMap(at, normal, 0.3, [{ centre, radius: s.radius }])
+        if (fit) {
+          const values = [
+            ...fit.right,
+            ...fit.up,
+            ...fit.axis,
+            ...fit.scale,
+            ...fit.offset,
+            fit.nearestCaster,
+          ]
+          expect(values.every(Number.isFinite)).toBe(true)
+          expect(Math.min(...fit.scale)).toBeGreaterThan(0)
+        }
+      }),
+    )
+  })
+
   it('has right-handed unit axes that keep the winding: right x up = -axis', () => {
     fc.assert(
       fc.property(point, direction, sphere, (at, normal, s) => {

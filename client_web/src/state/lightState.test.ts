@@ -261,6 +261,99 @@ describe('LightState', () => {
     expect(lit(state.sample(1100))).toEqual([[3, 0, 0, 4, 4, 4]])
   })
 
+  it('never goes back, whatever the clocks say', () => {
+    const time = fc.oneof(
+      fc.double({ min: 0, max: 400, noNaN: true }),
+      fc.constantFrom(Number.NaN, Number.POSITIVE_INFINITY, Number.NEGATIVE_INFINITY, -5),
+    )
+    fc.assert(
+      fc.property(fc.array(time, { minLength: 1, maxLength: 30 }), (times) => {
+        const state = new LightState({ fadeMs: 100 })
+        state.push(packet(1, [{ intensity: [1, 0, 8] }], [2, -3]), 0)
+        state.sample(0)
+        state.push(packet(2, [{ intensity: [4, 1, 0] }], [-2, 5]), 50)
+        let last = [1, 0, 8, 2, -3]
+        for (const now of times) {
+          const frame = state.sample(now)
+          const shown = [...frame.vals.subarray(8, 11), ...frame.objectSh]
+          const rises = [true, true, false, false, true]
+          shown.forEach((value, i) => {
+            expect(rises[i] ? value >= (last[i] ?? 0) : value <= (last[i] ?? 0)).toBe(true)
+          })
+          last = shown
+        }
+        expect([...state.sample(500).vals.subarray(8, 11)]).toEqual([4, 1, 0])
+      }),
+    )
+  })
+
+  it('starts the next fade from what is shown, also when a packet is stamped before the last frame', () => {
+    const state = new LightState({ fadeMs: 100 })
+    state.push(packet(1, [{ intensity: [0, 0, 1] }]), 0)
+    state.sample(0)
+    state.push(packet(2, [{ intensity: [8, 0, 1] }]), 1000)
+    expect(state.sample(1050).vals[8]).toBe(4)
+    state.push(packet(3, [{ intensity: [8, 0, 2] }]), 1040)
+    expect(state.sample(1045).vals[8]).toBe(4)
+    expect(state.sample(1100).vals[8]).toBe(6)
+  })
+
+  it('holds for zero, denormal and huge light: exact ends, nothing beyond them, always finite', () => {
+    const extreme = fc.constantFrom(0, 2 ** -149, 1e-40, 1e-30, 1, 65504, 1e30, 2 ** 126)
+    const lamp = fc.tuple(extreme, extreme, extreme)
+    fc.assert(
+      fc.property(lamp, lamp, fc.array(fc.double({ min: 0, max: 1, noNaN: true })), (a, b, cuts) => {
+        const state = new LightState({ fadeMs: 100 })
+        state.push(packet(1, [{ intensity: a }], [...a, -a[0]]), 0)
+        state.sample(0)
+        state.push(packet(2, [{ intensity: b }], [...b, b[1]]), 1000)
+        for (const cut of cuts) {
+          const frame = state.sample(1000 + 100 * cut)
+          a.forEach((start, i) => {
+            const [low, high] = [Math.min(start, b[i] ?? 0), Math.max(start, b[i] ?? 0)].map(Math.fround)
+            for (const value of [summed(frame)[i] ?? 0, frame.objectSh[i] ?? 0]) {
+              expect(value).toBeGreaterThanOrEqual(low ?? 0)
+              expect(value).toBeLessThanOrEqual(high ?? 0)
+            }
+          })
+          expect(frame.vals.every(Number.isFinite)).toBe(true)
+          expect(frame.objectSh.every(Number.isFinite)).toBe(true)
+        }
+        expect(summed(state.sample(1100))).toEqual(b.map(Math.fround))
+      }),
+    )
+  })
+
+  it('shows what a fresh client shows after thousands of updates with lamps coming and going', () => {
+    let seed = 1
+    const random = () => {
+      seed = (Math.imul(seed, 1103515245) + 12345) >>> 0
+      return seed / 2 ** 32
+    }
+    const state = new LightState()
+    const generation = new Uint8Array(16)
+    let vals: Val[] = []
+    for (let i = 0; i < 5000; i++) {
+      vals = Array.from({ length: 16 }, (_, slot) => {
+        generation[slot] = (generation[slot] ?? 0) + (random() < 0.1 ? 1 : 0)
+        const on = random() < 0.8
+        return {
+          position: [random(), random(), slot],
+          intensity: on ? [random(), random(), 1] : [0, 0, 0],
+          generation: generation[slot] ?? 0,
+        }
+      })
+      state.push(packet((0xfffff000 + i) >>> 0, vals, [random()]), 33 * i)
+      state.sample(33 * i + 16)
+    }
+    const end = lit(state.sample(1e9))
+    const fresh = new LightState()
+    fresh.push(packet(1, vals, []), 0)
+    const order = (a: number[], b: number[]) => (a[2] ?? 0) - (b[2] ?? 0)
+    expect(end.sort(order)).toEqual(lit(fresh.sample(0)).sort(order))
+    expect(state.fading).toBe(false)
+  })
+
   it('does not allocate frames', () => {
     const state = new LightState({ fadeMs: 100 })
     state.push(packet(1, [{ intensity: [1, 1, 1] }], [1]), 0)

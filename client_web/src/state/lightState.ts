@@ -53,6 +53,7 @@ export class LightState {
   #fadeMs = 0
   #fading = false
   #lastPushMs = 0
+  #clockMs = 0
   #sequence: number | undefined
   #started = false
   #orphans = false
@@ -91,13 +92,14 @@ export class LightState {
    * @returns false when the packet was out of date.
    * @throws RangeError when the packet has more slots than can be shown.
    */
-  push(packet: LightInput, nowMs: number): boolean {
+  push(packet: LightInput, timeMs: number): boolean {
     if (packet.numVals > MAX_SHOWN_VALS) {
       throw new RangeError(`light packet: expected at most ${MAX_SHOWN_VALS} slots, found ${packet.numVals}`)
     }
     if (this.#sequence !== undefined && ((packet.sequence - this.#sequence) | 0) <= 0) {
       return false
     }
+    const nowMs = this.#advance(timeMs)
     this.#sequence = packet.sequence
     this.#measureInterval(nowMs)
     if (this.#started && !this.#orphans && !this.#differs(packet)) {
@@ -136,7 +138,8 @@ export class LightState {
   }
 
   /** What to show now. The flags tell what differs from the previous call. */
-  sample(nowMs: number): LightFrame {
+  sample(timeMs: number): LightFrame {
+    const nowMs = this.#advance(timeMs)
     const frame = this.#frame
     frame.positionsChanged = false
     frame.changedSlots.fill(0)
@@ -164,6 +167,14 @@ export class LightState {
     }
     frame.count = count
     return frame
+  }
+
+  /** Frames are stamped with their start, packets with their arrival: time stands still rather than running backwards. */
+  #advance(timeMs: number): number {
+    if (timeMs > this.#clockMs && timeMs < Number.POSITIVE_INFINITY) {
+      this.#clockMs = timeMs
+    }
+    return this.#clockMs
   }
 
   #amount(nowMs: number): number {
