@@ -1,4 +1,5 @@
 /** `window.bench`: draws the same scene with several renderers, frame by frame as the benchmark asks. */
+import { type Growth, grow, trianglesOf } from './growth'
 import { Ours } from './ours'
 import { PlayCanvas } from './playcanvas'
 import { type BenchLight, type BenchScene, loadBenchScene, readLight } from './scene'
@@ -45,7 +46,8 @@ const bench = {
    * Makes a variant and draws its first frames, in which shaders are compiled.
    *
    * @param packet base64 of a light packet.
-   * @returns number of VALs that it draws with.
+   * @param growth changes to the scene.
+   * @returns numbers of VALs and of triangles of virtual objects that it draws.
    */
   async create(
     name: string,
@@ -53,16 +55,17 @@ const bench = {
     packet: string,
     exposure: number,
     drawing: DrawingOptions,
-  ): Promise<number> {
+    growth: Growth,
+  ): Promise<{ vals: number; triangles: number }> {
     const make = MAKERS[maker]
     if (!scene || !make) throw new Error(scene ? `No renderer ${maker}.` : 'Load the scene first.')
-    const light = readLight(packet)
-    const variant = await make({ scene, light, exposure, drawing })
+    const grown = grow(scene, readLight(packet), growth)
+    const variant = await make({ ...grown, exposure, drawing })
     variants.set(name, { variant, frame: 2 })
     for (const frame of [0, 1]) variant.draw(frame, 'full')
     settle(variant)
     finishFrame(variant.gl)
-    return light.count
+    return { vals: grown.light.count, triangles: trianglesOf(grown.scene) }
   },
 
   /** Brings a variant to rest; what follows is timed. */

@@ -64,10 +64,25 @@ class BenchPage:
         *,
         shadows: bool = True,
         lights: bool = True,
-    ) -> int:
-        """Make a variant and compile what it needs; returns the number of VALs that it draws with."""
+        growth: Mapping[str, int] | None = None,
+    ) -> dict[str, int]:
+        """Make a variant and compile what it needs.
+
+        Args:
+            name: of the variant from now on.
+            maker: which renderer, a key of MAKERS in client_web/bench/main.ts.
+            packet: light packet.
+            exposure: factor on linear radiance.
+            shadows: whether lights cast shadows.
+            lights: whether there is light.
+            growth: changes to the scene, see client_web/bench/growth.ts.
+
+        Returns:
+            What it draws: number of `vals` and of `triangles` of virtual objects.
+        """
         drawing = {"shadows": shadows, "lights": lights}
-        return int(self._call("create", name, maker, base64.b64encode(packet).decode(), exposure, drawing))
+        data = base64.b64encode(packet).decode()
+        return dict(self._call("create", name, maker, data, exposure, drawing, dict(growth or {})))
 
     def measure(self, name: str, kind: str, frames: int) -> FrameCost:
         """Draw `frames` frames and wait for each; the mean cost of one."""

@@ -155,7 +155,8 @@ def _create(
         if variant.key not in vals:
             progress(f"compiling {variant.key}")
             packet = scene.packets[variant.slots]
-            vals[variant.key] = page.create(variant.key, variant.maker, packet, scene.exposure)
+            drawn = page.create(variant.key, variant.maker, packet, scene.exposure)
+            vals[variant.key] = drawn["vals"]
     return vals
 
 

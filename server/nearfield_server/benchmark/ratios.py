@@ -59,3 +59,19 @@ def ratio_spread(numerators: Sequence[float], denominators: Sequence[float]) -> 
     if min(*numerators, *denominators, 1.0) <= 0.0:
         raise ValueError("expected positive costs in every round")
     return spread([n / d for n, d in zip(numerators, denominators, strict=True)])
+
+
+def fit_exponent(sizes: Sequence[float], costs: Sequence[float]) -> float:
+    """Exponent of the power law through the points, by least squares in logarithms: 1 = proportional, 0 = independent.
+
+    Args:
+        sizes: > 0, at least two different ones.
+        costs: as many, > 0.
+
+    Raises:
+        ValueError: the numbers differ, sizes are all the same, or a value is not positive.
+    """
+    x, y = np.asarray(sizes, np.float64), np.asarray(costs, np.float64)
+    if x.shape != y.shape or np.unique(x).size < 2 or min(x.min(), y.min()) <= 0.0:
+        raise ValueError(f"expected positive costs at different positive sizes, found {costs} at {sizes}")
+    return float(np.polyfit(np.log(x), np.log(y), 1)[0])

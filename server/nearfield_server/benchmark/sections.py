@@ -43,7 +43,10 @@ def client_section(setup: BenchSetup) -> dict[str, Any]:
 
 def growth_section(setup: BenchSetup) -> dict[str, Any]:
     """Cost against the size of everything."""
-    raise ServiceError("growth is not measured by this build")
+    # Brings the browser's libraries; the other sections do without.
+    from nearfield_server.benchmark.client_growth import measure_client_growth
+
+    return measure_client_growth(setup.quick, setup.say, tiny=setup.tiny)
 
 
 def latency_section(setup: BenchSetup) -> dict[str, Any]:

@@ -3,10 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
-import subprocess
-import sys
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 from nearfield_server.benchmark.client_page import BenchPage, FrameCost, open_bench_page, require_built_page
-from nearfield_server.benchmark.client_scene import ClientScene, client_scene
+from nearfield_server.benchmark.client_scene import ClientScene
 from nearfield_server.benchmark.client_times import (
     EXTRA_RATIOS,
     RATIOS,
@@ -27,7 +23,6 @@ from nearfield_server.benchmark.client_times import (
 )
 from nearfield_server.errors import ServiceError
 
-ROOT = Path(__file__).resolve().parents[3]
 FEW, MANY = 2, 4
 SIZE = (96, 54)
 
@@ -58,31 +53,6 @@ def test_every_ratio_names_variants() -> None:
 def test_a_missing_page_is_explained(tmp_path: Path) -> None:
     with pytest.raises(ServiceError, match="npm run build:bench"):
         require_built_page(tmp_path)
-
-
-@pytest.fixture(scope="module")
-def built_page(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("bench")
-    tools = Path(sys.executable).parent
-    npx = shutil.which("npx", path=str(tools)) or shutil.which("npx")
-    if npx is None or not (ROOT / "client_web" / "node_modules").is_dir():
-        pytest.fail("the client cannot be built: install Node 22 or later and run `npm ci` in client_web")
-    built = subprocess.run(
-        [npx, "vite", "build", "--config", "vite.bench.config.ts", "--outDir", str(folder)],
-        cwd=ROOT / "client_web",
-        env={"PATH": f"{tools}:/usr/bin:/bin", "HOME": str(Path.home())},
-        capture_output=True,
-        text=True,
-    )
-    assert built.returncode == 0, built.stderr
-    return folder
-
-
-@pytest.fixture(scope="module")
-def scene(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ClientScene]:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("NEARFIELD_CACHE_DIR", str(tmp_path_factory.mktemp("cache")))
-        yield client_scene(ROOT / "tests" / "data" / "tiny_room", (FEW, MANY), lambda _: None)
 
 
 def _decode(png: bytes) -> NDArray[np.int16]:
@@ -116,18 +86,18 @@ def _check_picture(page: BenchPage, maker: str, packet: bytes, exposure: float) 
 
 
 @pytest.mark.browser
-def test_every_renderer_draws_lights_and_shadows(scene: ClientScene, built_page: Path) -> None:
-    with open_bench_page(scene, "llvmpipe", *SIZE, static_dir=built_page) as page:
+def test_every_renderer_draws_lights_and_shadows(tiny_scene: ClientScene, built_page: Path) -> None:
+    with open_bench_page(tiny_scene, "llvmpipe", *SIZE, static_dir=built_page) as page:
         for maker in ("ours", "three", "differential", "playcanvas"):
-            _check_picture(page, maker, scene.packets[MANY], scene.exposure)
+            _check_picture(page, maker, tiny_scene.packets[MANY], tiny_scene.exposure)
 
 
 @pytest.mark.browser
-def test_a_round_times_every_variant(scene: ClientScene, built_page: Path, tmp_path: Path) -> None:
+def test_a_round_times_every_variant(tiny_scene: ClientScene, built_page: Path, tmp_path: Path) -> None:
     variants = make_variants(FEW, MANY)
     plan = Plan(rounds=1, frames=1, width=SIZE[0], height=SIZE[1])
     report: dict[str, Any] = measure_on(
-        scene, "llvmpipe", variants, plan, tmp_path, lambda _: None, static_dir=built_page
+        tiny_scene, "llvmpipe", variants, plan, tmp_path, lambda _: None, static_dir=built_page
     )
     json.dumps(report)
     for name in RATIOS | EXTRA_RATIOS:

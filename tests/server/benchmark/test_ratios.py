@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from nearfield_server.benchmark.ratios import ratio_spread, spread
+from nearfield_server.benchmark.ratios import fit_exponent, ratio_spread, spread
 
 COSTS = st.lists(st.floats(1e-3, 1e6), min_size=1, max_size=30)
 
@@ -43,3 +43,26 @@ def test_wrong_rounds_are_refused() -> None:
         spread([])
     with pytest.raises(ValueError, match="finite"):
         spread([float("nan")])
+
+
+@given(
+    st.floats(-3.0, 3.0),
+    st.floats(1e-3, 1e3),
+    st.lists(st.floats(1.0, 1e6), min_size=2, unique=True, max_size=9),
+)
+def test_a_power_law_is_found_again(exponent: float, factor: float, sizes: list[float]) -> None:
+    if np.ptp(np.log(sizes)) < 1e-3:
+        return
+    costs = [factor * size**exponent for size in sizes]
+    assert fit_exponent(sizes, costs) == pytest.approx(exponent, abs=1e-6)
+
+
+def test_no_exponent_without_growth() -> None:
+    for sizes, costs in (
+        ([1.0, 1.0], [1.0, 2.0]),
+        ([1.0], [1.0]),
+        ([1.0, 2.0], [0.0, 1.0]),
+        ([1.0, 2.0], [1.0]),
+    ):
+        with pytest.raises(ValueError, match="different positive sizes"):
+            fit_exponent(sizes, costs)
