@@ -54,12 +54,15 @@ def noisy_frames(scenario: Scenario, seed: int) -> tuple[CameraFrame, ...]:
     return tuple(frames)
 
 
-def _objects(low: NDArray[np.float64], high: NDArray[np.float64]) -> tuple[ObjectPose, ...]:
-    """Three objects along the diagonal of the room's box, a third of its height above the floor."""
+def _objects(
+    low: NDArray[np.float64], high: NDArray[np.float64], count: int = _NUM_OBJECTS
+) -> tuple[ObjectPose, ...]:
+    """Objects along the diagonal of the room's box, a third of its height above the floor."""
     objects = []
-    for index in range(_NUM_OBJECTS):
+    for index in range(count):
         world_from_object = np.eye(4)
-        world_from_object[:3, 3] = low + (high - low) * [0.3 + 0.2 * index, 0.33, 0.3 + 0.2 * index]
+        place = 0.3 + 0.4 * index / max(count - 1, 1)
+        world_from_object[:3, 3] = low + (high - low) * [place, 0.33, place]
         objects.append(
             ObjectPose(
                 object_index=index,
@@ -72,9 +75,18 @@ def _objects(low: NDArray[np.float64], high: NDArray[np.float64]) -> tuple[Objec
     return tuple(objects)
 
 
-def box_scenario(size: int) -> Scenario:
-    """A box room in closed form with a lamp and a window; `size` is the edge of the atlas and of every picture."""
-    room = make_box_room(atlas_size=size, camera_size=size)
+def box_scenario(
+    size: int, *, camera_size: int | None = None, num_cameras: int = 4, num_objects: int = _NUM_OBJECTS
+) -> Scenario:
+    """A box room in closed form with a lamp and a window.
+
+    Args:
+        size: edge of the atlas, texels.
+        camera_size: edge of every picture, pixels; None = as large as the atlas.
+        num_cameras: fish-eyes in the upper corners.
+        num_objects: virtual objects.
+    """
+    room = make_box_room(atlas_size=size, camera_size=camera_size or size, num_cameras=num_cameras)
     lamp = (3, (0.5, 0.5), (0.1, 0.1), (40.0, 38.0, 30.0))
     window = (0, (0.5, 0.6), (0.1, 0.2), (10.0, 12.0, 15.0))
     field = lamp_field(room, (lamp, window))
@@ -85,7 +97,7 @@ def box_scenario(size: int) -> Scenario:
         table=room.table,
         probes=room,
         pictures=tuple(room.picture(index, field) for index in range(len(room.cameras))),
-        objects=_objects(np.zeros(3), room.size),
+        objects=_objects(np.zeros(3), room.size, num_objects),
     )
 
 

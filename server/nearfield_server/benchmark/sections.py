@@ -6,6 +6,7 @@ from typing import Any, Final
 
 from nearfield_server.benchmark.parts import BenchSetup
 from nearfield_server.benchmark.scenario import box_scenario
+from nearfield_server.benchmark.server_growth import measure_server_growth
 from nearfield_server.benchmark.server_times import measure
 from nearfield_server.errors import ServiceError
 from nearfield_server.records import LightSettings
@@ -46,7 +47,11 @@ def growth_section(setup: BenchSetup) -> dict[str, Any]:
     # Brings the browser's libraries; the other sections do without.
     from nearfield_server.benchmark.client_growth import measure_client_growth
 
-    return measure_client_growth(setup.quick, setup.say, tiny=setup.tiny)
+    server = measure_server_growth(setup.backend, setup.quick, setup.say, tiny=setup.tiny)
+    try:
+        return server | measure_client_growth(setup.quick, setup.say, tiny=setup.tiny)
+    except ServiceError as error:
+        return server | {"missing": str(error)}
 
 
 def latency_section(setup: BenchSetup) -> dict[str, Any]:
