@@ -17,6 +17,15 @@ export interface RendererSettings {
   fullQuality: boolean
 }
 
+/** What the benchmark changes to draw the methods of the papers. */
+export interface MethodSettings {
+  shadows: boolean
+  indirectOcclusion: boolean
+  fixtureRays: boolean
+  roomShadows: boolean
+  receiverRatio: boolean
+}
+
 export type CameraChoice =
   | { kind: 'tablet'; viewIndex: number }
   | { kind: 'free'; worldFromCamera: Pose; verticalFov: number }
@@ -40,7 +49,7 @@ export interface PictureRenderer {
   setObjectPose(objectIndex: number, worldFromObject: Pose): void
   setLightWeights(weights: Float32Array): void
   updateAtlas(tiles: AtlasTiles): void
-  setOptions(partial: Partial<RendererSettings>): void
+  setOptions(partial: Partial<RendererSettings & MethodSettings>): void
   setSize(widthPixels: number, heightPixels: number): void
   render(nowMs: number): FrameReport
   readComposite(): Float32Array

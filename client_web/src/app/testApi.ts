@@ -1,15 +1,22 @@
 /** `window.nearfield`: what tests and `nearfield evaluate` drive the page with. */
 import { poseFromRowMajor, rowMajorOf } from '../interaction/pose'
 import type { ViewChoice } from '../ui/shell'
-import type { Platform } from './ports'
+import { type CompositeQuality, drawFrame, takeComposite } from './composite'
+import type { MethodSettings, Platform } from './ports'
 import type { Viewer } from './viewer'
 
 export interface NearfieldApi {
   /** Resolves once pictures can be drawn; rejects with the words that the page shows. */
   readonly ready: Promise<void>
   state(): NearfieldState
-  /** Draws a tablet view in full quality: base64 of little-endian float32 RGBA, linear radiance, row 0 on top. */
-  renderViewComposite(viewIndex: number): Promise<{ width: number; height: number; data: string }>
+  /** Draws a tablet view, in full quality if nothing is said: base64 of little-endian float32 RGBA, linear radiance, row 0 on top. */
+  renderViewComposite(
+    viewIndex: number,
+    quality?: CompositeQuality,
+  ): Promise<{ width: number; height: number; data: string }>
+  /** Draws one frame of a tablet view in live quality, without reading it back. */
+  drawViewFrame(viewIndex: number): Promise<void>
+  changeMethod(settings: Partial<MethodSettings>): void
   setLightWeight(lightIndex: number, weight: number): void
   setView(view: ViewChoice): void
   /** @param worldFromObject row-major 4x4. */
@@ -66,10 +73,12 @@ export function createTestApi(starting: Promise<Viewer>, platform: Platform): Ne
   return {
     ready,
     state: () => stateOf(running()),
-    renderViewComposite: async (viewIndex) => {
-      const { width, height, rgba } = await running().renderViewComposite(viewIndex)
+    renderViewComposite: async (viewIndex, quality) => {
+      const { width, height, rgba } = await takeComposite(running(), viewIndex, quality)
       return { width, height, data: await toBase64(rgba) }
     },
+    drawViewFrame: (viewIndex) => drawFrame(running(), viewIndex),
+    changeMethod: (settings) => running().changeMethod(settings),
     setLightWeight: (lightIndex, weight) => running().setLightWeight(lightIndex, weight),
     setView: (view) => running().selectView(view),
     setObjectPose: (objectIndex, worldFromObject) =>

@@ -6,7 +6,7 @@ import type { SceneDescription } from '../state/sceneDescription'
 import type { PictureSettings } from '../ui/picturePanel'
 import type { SceneControls, Shell, ShellActions, ViewChoice } from '../ui/shell'
 import { CameraControl } from './cameraControl'
-import { renderUntilDone } from './composite'
+import { aimAtView, type CompositeQuality } from './composite'
 import { ControlChannel } from './controlChannel'
 import { suitableExposure } from './exposure'
 import { FrameLoop } from './frameLoop'
@@ -19,6 +19,7 @@ import type {
   ConnectionEvents,
   ConnectionState,
   FrameReport,
+  MethodSettings,
   PictureRenderer,
   RendererSettings,
 } from './ports'
@@ -259,32 +260,28 @@ export class Viewer implements ShellActions {
     this.requestFrame()
   }
 
-  /**
-   * Draws a tablet view in full quality and in the size of its calibration, whatever the screen shows.
-   *
-   * @returns linear radiance, 4 floats per pixel, row 0 on top.
-   */
-  async renderViewComposite(
+  /** Sets the renderer to a tablet view, whatever the screen shows, lets `draw` use it, and goes back. */
+  async drawView(
     viewIndex: number,
-  ): Promise<{ width: number; height: number; rgba: Float32Array }> {
-    const view = this.scene.views[viewIndex]
-    if (!view) {
-      throw new RangeError(`view ${viewIndex}: expected 0 to ${this.scene.views.length - 1}`)
-    }
+    quality: CompositeQuality,
+    draw: (renderer: PictureRenderer) => Promise<FrameReport>,
+  ): Promise<void> {
     this.#loop.pause()
-    this.#renderer.setOptions({ fullQuality: true })
-    this.#renderer.setSize(view.width, view.height)
-    this.#renderer.setCamera({ kind: 'tablet', viewIndex })
+    aimAtView(this.#renderer, this.scene, viewIndex, quality)
     this.#takeFrameLight(performance.now())
-    this.#report = await renderUntilDone(this.#renderer)
-    const rgba = this.#renderer.readComposite()
-    this.#renderer.setOptions({ fullQuality: this.#options.evaluate })
+    this.#report = await draw(this.#renderer)
     if (!this.#options.evaluate) {
+      this.#renderer.setOptions({ fullQuality: false })
       this.#renderer.setSize(this.#size.width, this.#size.height)
       this.#renderer.setCamera(this.camera.choice())
     }
     this.resume()
-    return { width: view.width, height: view.height, rgba }
+  }
+
+  /** For the benchmark, which draws the methods of the papers with the same renderer. */
+  changeMethod(settings: Partial<MethodSettings>): void {
+    this.#renderer.setOptions(settings)
+    this.requestFrame()
   }
 
   #drawSafely(nowMs: number, sinceLastMs: number | null): boolean {

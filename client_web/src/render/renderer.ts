@@ -55,6 +55,9 @@ const OPTION_KEYS: Readonly<Record<keyof RendererOptions, Key>> = {
   shadows: 'shading options',
   indirectOcclusion: 'shading options',
   tiled: 'shading options',
+  fixtureRays: 'shading options',
+  roomShadows: 'shading options',
+  receiverRatio: 'shading options',
   fullQuality: 'quality',
   antiAliasing: 'edges',
 }

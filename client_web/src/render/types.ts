@@ -93,6 +93,12 @@ export interface RendererOptions {
   tiled: boolean
   /** Bends the brightest tones instead of clipping them. */
   softClip: boolean
+  /** Off draws the papers' methods for the benchmark: what a lamp's own fixture hides counts as seen. */
+  fixtureRays: boolean
+  /** Off draws the papers' methods for the benchmark: the real room hides no light. */
+  roomShadows: boolean
+  /** On draws Gierlinger et al. 2010 for the benchmark: real surfaces take the share of the surrounding light that objects leave them. */
+  receiverRatio: boolean
 }
 
 export const DEFAULT_OPTIONS: RendererOptions = {
@@ -105,6 +111,9 @@ export const DEFAULT_OPTIONS: RendererOptions = {
   fullQuality: false,
   tiled: true,
   softClip: true,
+  fixtureRays: true,
+  roomShadows: true,
+  receiverRatio: false,
 }
 
 /** 4x4 column-major, as three.js Matrix4 and interaction's Pose hold it. */

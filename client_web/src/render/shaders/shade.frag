@@ -18,9 +18,16 @@ uniform bool uTiled;
 uniform int uNumVals;
 uniform bool uShadows;
 uniform bool uIndirectExchange;
+uniform bool uFixtureRays;
+uniform bool uRoomShadows;
+uniform bool uReceiverRatio;
 // 0 composite, 1 the room alone lit by VALs, 2 the augmented room lit by VALs (oracles of the tests).
 uniform int uMode;
 layout(location = 0) out vec4 oRadiance;
+
+float seenThroughRoom(Receiver receiver, Val val) {
+  return uRoomShadows ? roomVisibility(receiver, val) : 1.0;
+}
 
 // Radiance that the VALs add to (virtual) or that virtual objects take from (real) this surface: Rohmer et al. 2014, Eq. 12 and 13.
 vec3 shadeWithVal(int slot, Surface surface, float turn) {
@@ -31,19 +38,19 @@ vec3 shadeWithVal(int slot, Surface surface, float turn) {
     return vec3(0.0);
   }
   vec3 radiance = surface.albedo * 0.3183098861837907 * irradiance;
-  if (uShadows) {
+  if (uShadows && uFixtureRays) {
     radiance *= isReal ? val.openShare : openShareOf(slot, surface.kind - 1);
   }
   bool mapped = uShadows && val.hasShadowMap;
   Receiver receiver = makeReceiver(val, slot, surface.positionWorld, surface.normalWorld, turn);
   if (!isReal) {
-    return mapped ? radiance * (roomVisibility(receiver, val) * virtualVisibility(receiver, val)) : radiance;
+    return mapped ? radiance * (seenThroughRoom(receiver, val) * virtualVisibility(receiver, val)) : radiance;
   }
   float behindVirtual = mapped && ballInShadowCone(val, surface.positionWorld, 0.0) ? virtualVisibility(receiver, val) : 1.0;
   if (uMode == 0) {
-    return behindVirtual < 1.0 ? radiance * (roomVisibility(receiver, val) * (1.0 - behindVirtual)) : vec3(0.0);
+    return behindVirtual < 1.0 ? radiance * (seenThroughRoom(receiver, val) * (1.0 - behindVirtual)) : vec3(0.0);
   }
-  float seen = mapped ? roomVisibility(receiver, val) : 1.0;
+  float seen = mapped ? seenThroughRoom(receiver, val) : 1.0;
   return radiance * (uMode == 1 ? seen : seen * behindVirtual);
 }
 
@@ -85,6 +92,11 @@ void main() {
       }
     }
     exchanged *= surface.albedo * 0.3183098861837907;
+  }
+  if (uReceiverRatio && surface.kind == 0) {
+    for (int object = 0; object < uNumObjects; object++) {
+      background *= receiverRatio(object, surface.positionWorld, surface.normalWorld);
+    }
   }
   vec3 radiance;
   if (surface.kind > 0) {
