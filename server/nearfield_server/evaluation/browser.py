@@ -5,7 +5,8 @@ from __future__ import annotations
 import base64
 import os
 import shutil
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -56,13 +57,79 @@ def find_browser() -> str:
     )
 
 
-def take_pictures(url: str, view_indices: Sequence[int], sequence: int) -> ClientPictures:
-    """Open the page in evaluation mode and render views with the light of one packet.
+class ClientPage:
+    """The client in evaluation mode, with its light and its renderer at the caller's command."""
+
+    def __init__(self, browser: Any, page: Any) -> None:
+        self._browser, self._page = browser, page
+
+    @property
+    def browser_name(self) -> str:
+        """Name and version."""
+        return f"Chromium {self._browser.version}"
+
+    def devtools_session(self) -> Any:
+        """A CDP session of the whole browser; detach it after use."""
+        return self._browser.new_browser_cdp_session()
+
+    def wait_for_light(self, sequence: int) -> None:
+        """Return once the light of a packet from the server, or a newer one, is shown."""
+        self._page.evaluate("(sequence) => window.nearfield.waitForLight(sequence)", sequence)
+
+    def apply_light(self, packet: bytes) -> None:
+        """Show the light of a packet as if it had come from the server.
+
+        Raises:
+            ServiceError: the client takes the packet for an old one: its sequence must grow.
+        """
+        data = base64.b64encode(packet).decode("ascii")
+        if not self._page.evaluate("(data) => window.nearfield.applyLightPacket(data)", data):
+            raise ServiceError(
+                "the client refused a light packet as out of date; number packets upwards from the first"
+            )
+
+    def change_method(self, settings: Mapping[str, bool]) -> None:
+        """Switch parts of the renderer (`MethodSettings` of the client)."""
+        self._page.evaluate("(settings) => window.nearfield.changeMethod(settings)", dict(settings))
+
+    def composite(
+        self, view_index: int, *, full_quality: bool = True, scale: float = 1.0
+    ) -> NDArray[np.float32]:
+        """Linear composite of a tablet view with the newest light: (H, W, 4), row 0 on top.
+
+        Args:
+            view_index: which view.
+            full_quality: as `nearfield evaluate` judges it, else as a tablet draws it.
+            scale: of the picture's size against that of the view's calibration.
+        """
+        quality = {"fullQuality": full_quality, "scale": scale}
+        answer = self._page.evaluate(
+            "([index, quality]) => window.nearfield.renderViewComposite(index, quality)",
+            [view_index, quality],
+        )
+        return decode_picture(answer)
+
+    def draw_frames(self, view_index: int, packets: Sequence[bytes]) -> None:
+        """Draw one frame of a tablet view in live quality per packet, and wait until all are drawn."""
+        data = [base64.b64encode(packet).decode("ascii") for packet in packets]
+        self._page.evaluate(
+            """async ([index, packets]) => {
+              for (const packet of packets) {
+                window.nearfield.applyLightPacket(packet)
+                await window.nearfield.drawViewFrame(index)
+              }
+              await window.nearfield.renderViewComposite(index, { fullQuality: false, scale: 1 })
+            }""",
+            [view_index, data],
+        )
+
+
+@contextmanager
+def open_client(url: str) -> Iterator[ClientPage]:
+    """Open the page in evaluation mode, ready to draw, and close the browser at the end.
 
     Args:
         url: of the page, without query.
-        view_indices: which views.
-        sequence: of the light packet to wait for.
 
     Raises:
         ServiceError: playwright or the browser is missing, or the page fails; carries what the page said.
@@ -90,19 +157,29 @@ def take_pictures(url: str, view_indices: Sequence[int], sequence: int) -> Clien
                 page.goto(f"{url}?mode=evaluate")
                 page.wait_for_function("() => window.nearfield !== undefined")
                 page.evaluate("() => window.nearfield.ready")
-                page.evaluate("(sequence) => window.nearfield.waitForLight(sequence)", sequence)
-                pictures = tuple(
-                    decode_picture(
-                        page.evaluate("(index) => window.nearfield.renderViewComposite(index)", index)
-                    )
-                    for index in view_indices
-                )
-                return ClientPictures(composites=pictures, browser=f"Chromium {browser.version}")
+                yield ClientPage(browser, page)
             finally:
                 browser.close()
         except Error as error:
             reason = "; ".join([error.message.splitlines()[0], *said[:5]])
             raise ServiceError(f"the client failed in the browser: {reason}") from error
+
+
+def take_pictures(url: str, view_indices: Sequence[int], sequence: int) -> ClientPictures:
+    """Open the page in evaluation mode and render views with the light of one packet.
+
+    Args:
+        url: of the page, without query.
+        view_indices: which views.
+        sequence: of the light packet to wait for.
+
+    Raises:
+        ServiceError: see `open_client`.
+    """
+    with open_client(url) as client:
+        client.wait_for_light(sequence)
+        pictures = tuple(client.composite(index) for index in view_indices)
+        return ClientPictures(composites=pictures, browser=client.browser_name)
 
 
 def decode_picture(answer: dict[str, Any]) -> NDArray[np.float32]:

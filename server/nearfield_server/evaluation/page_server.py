@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 from nearfield_server.errors import ServiceError
@@ -43,15 +44,53 @@ def render_views(
     Raises:
         ServiceError: the client is not built, there is no browser, or the page fails.
     """
+    with serve_bundle(
+        room,
+        mesh,
+        len(texels.texel_index),
+        run.packet_bytes,
+        preset=preset,
+        progress=progress,
+        static_dir=static_dir,
+    ) as url:
+        progress(f"rendering {len(view_indices)} views in the browser")
+        return take_pictures(url, view_indices, run.packet.sequence)
+
+
+@contextmanager
+def serve_bundle(
+    room: RoomConfig,
+    mesh: RoomMesh,
+    num_texels: int,
+    packet: bytes | None,
+    *,
+    preset: str,
+    progress: Callable[[str], None],
+    static_dir: Path = BUILT_CLIENT,
+) -> Iterator[str]:
+    """Serve the page and the scene of a room; yields the URL.
+
+    Args:
+        room: with the light weights that the backgrounds are mixed by.
+        mesh: its model.
+        num_texels: of its atlas.
+        packet: that clients get, or None where they are given their light by other means.
+        preset: quality of prepared objects.
+        progress: called with a line of text before each step.
+        static_dir: the built client.
+
+    Raises:
+        ServiceError: the client is not built.
+    """
     if not (static_dir / "index.html").is_file():
         raise ServiceError(
             f"the client is not built ({static_dir / 'index.html'} is missing); run `npm ci && npm run build` in client_web, "
             "or evaluate with --no-views"
         )
-    scene = build_scene(room, mesh, len(texels.texel_index), preset=preset, progress=progress)
+    scene = build_scene(room, mesh, num_texels, preset=preset, progress=progress)
     hub = LightHub()
-    hub.publish_light(run.packet_bytes)
+    if packet is not None:
+        hub.publish_light(packet)
     app = create_app(scene.description, hub, NoControls(), static_dir, assets=scene.assets)
-    progress(f"rendering {len(view_indices)} views in the browser")
     with serve_in_thread(app) as url:
-        return take_pictures(url, view_indices, run.packet.sequence)
+        yield url
