@@ -15,6 +15,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from nearfield_server.benchmark.assembly_files import write_json
 from nearfield_server.benchmark.parts import PARTS, BenchSetup, load_part
 from nearfield_server.errors import AssetError, NearfieldError
 
@@ -31,15 +32,15 @@ _PACKAGES: Final = (
 )
 
 
-def run_parts(setup: BenchSetup, names: Sequence[str], *, resume: bool = False) -> dict[str, Any]:
+def run_parts(setup: BenchSetup, names: Sequence[str]) -> dict[str, Any]:
     """Run parts and write bench.json after each.
 
     A part that fails is noted with its reason, and the others still run. An interrupted run keeps what it finished.
 
     Args:
         setup: for all parts.
-        names: which parts, in this order; results of other parts that bench.json already holds stay in it.
-        resume: leave out parts that bench.json already holds from a run with the same settings.
+        names: which parts, in this order; results of other parts that bench.json already holds stay in it. With
+            `setup.resume` those are left out that it holds from a run with the same settings.
 
     Returns:
         The content of bench.json.
@@ -58,7 +59,7 @@ def run_parts(setup: BenchSetup, names: Sequence[str], *, resume: bool = False) 
     report = {name: _not_run() for name in PARTS} | {"parts": {}} | report
     report |= {"format": FORMAT, "machine": machine(), "versions": versions()}
     for name in names:
-        if resume and name in finished:
+        if setup.resume and name in finished:
             setup.say(f"{name}: kept from the former run")
             continue
         setup.say(f"{name}: {PARTS[name].summary}")
@@ -83,21 +84,6 @@ def failed_parts(report: dict[str, Any], names: Sequence[str]) -> dict[str, str]
         for name in names
         if report["parts"].get(name, {}).get("state") == "failed"
     }
-
-
-def write_json(path: Path, content: dict[str, Any]) -> None:
-    """Write a file whole or not at all.
-
-    Raises:
-        AssetError: it cannot be written.
-    """
-    partial = path.with_suffix(".partial")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        partial.write_text(json.dumps(content, indent=2, allow_nan=False) + "\n", encoding="utf-8")
-        partial.replace(path)
-    except OSError as error:
-        raise AssetError(f"{path}: cannot be written ({error.strerror}); choose another --out") from error
 
 
 def machine() -> dict[str, Any]:

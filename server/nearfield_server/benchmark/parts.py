@@ -26,6 +26,7 @@ class BenchSetup:
         tiny: the smallest form that still runs everything, to prove that it works; its figures say nothing.
         bundles: with path-traced truth.
         backend: of the light pipeline under test.
+        resume: keep what an interrupted run in the same folder finished.
         out: folder of the run; a part may keep files of its own there.
         say: told in words what is being done.
     """
@@ -34,6 +35,7 @@ class BenchSetup:
     tiny: bool
     bundles: tuple[Path, ...]
     backend: BackendName
+    resume: bool
     out: Path
     say: Progress
 

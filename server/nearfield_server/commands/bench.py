@@ -48,10 +48,11 @@ def bench(
         tiny=tiny,
         bundles=((EMBEDDED_BUNDLE,) if lab else ()) + tuple(path.resolve() for path in bundles or ()),
         backend=_backend(backend),
+        resume=resume,
         out=out,
         say=lambda text: console.print(text, highlight=False),
     )
-    report = run_parts(setup, names, resume=resume)
+    report = run_parts(setup, names)
     console.print(summary(report))
     console.print(f"{out / 'bench.json'}", highlight=False)
     failed = failed_parts(report, names)

@@ -18,10 +18,8 @@ from nearfield_server.errors import ServiceError
 BROWSER_NAMES = ("chromium", "chromium-browser", "google-chrome-stable", "google-chrome")
 BROWSER_VARIABLE = "NEARFIELD_CHROMIUM"
 # The software rasteriser of Chromium itself: the same pictures on every machine, with or without a GPU.
+_SWIFTSHADER = ("--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
 _ARGUMENTS = (
-    "--use-gl=angle",
-    "--use-angle=swiftshader",
-    "--enable-unsafe-swiftshader",
     "--disable-quic",
     "--no-first-run",
     "--disable-background-networking",
@@ -125,11 +123,12 @@ class ClientPage:
 
 
 @contextmanager
-def open_client(url: str) -> Iterator[ClientPage]:
+def open_client(url: str, rasteriser: Sequence[str] = _SWIFTSHADER) -> Iterator[ClientPage]:
     """Open the page in evaluation mode, ready to draw, and close the browser at the end.
 
     Args:
         url: of the page, without query.
+        rasteriser: arguments that choose what Chromium draws with.
 
     Raises:
         ServiceError: playwright or the browser is missing, or the page fails; carries what the page said.
@@ -140,7 +139,7 @@ def open_client(url: str) -> Iterator[ClientPage]:
         raise ServiceError(
             "rendering views needs playwright; install nearfield[evaluate], or evaluate with --no-views"
         ) from error
-    arguments = [*_ARGUMENTS, *(["--no-sandbox"] if os.geteuid() == 0 else [])]
+    arguments = [*_ARGUMENTS, *rasteriser, *(["--no-sandbox"] if os.geteuid() == 0 else [])]
     said: list[str] = []
     with sync_playwright() as playwright:
         try:
