@@ -24,6 +24,9 @@ class RoomRays:
         low, high = mesh.positions.min(axis=0), mesh.positions.max(axis=0)
         self.centre = 0.5 * (low + high)
         self.extent = float((high - low).max())
+        # Texel positions are float32 in world axes: far from the origin a small room's are rounded by more than that share.
+        rounding = float(np.spacing(np.float32(np.abs(mesh.positions).max())))
+        self.clearance = max(CLEARANCE * self.extent, 2.0 * rounding)
         self._caster = RayCaster(mesh.positions - self.centre, mesh.faces)
 
     def first_face(
@@ -78,8 +81,8 @@ def visible_texels(
     with np.errstate(invalid="ignore"):
         valid &= (pixel >= 0).all(axis=1) & (pixel[:, 0] < lens.width - 1) & (pixel[:, 1] < lens.height - 1)
     texel, pixel = texel[valid], pixel[valid]
-    clearance = CLEARANCE * rays.extent
-    starts = texels.position[texel] + clearance * texel_normals[texel]
+    clearance = rays.clearance
+    starts = texels.position[texel].astype(np.float64) + clearance * texel_normals[texel]
     to_eye = eye - starts
     length = np.maximum(np.linalg.norm(to_eye, axis=1), 1e-9)
     free = rays.free_sight(starts, to_eye / length[:, None], np.maximum(length - clearance, 0.0))
