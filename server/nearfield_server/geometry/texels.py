@@ -20,6 +20,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from nearfield_server.errors import GraphicsError
+from nearfield_server.geometry.morton import morton_code
 from nearfield_server.records import RoomMesh, TexelGeometry
 from nearfield_server.scene.uv_raster import cover_texels
 
@@ -84,7 +85,7 @@ def texels_from_coverage(mesh: RoomMesh, owner: NDArray[np.int32]) -> TexelGeome
     counts = np.bincount(owner[owner >= 0], minlength=len(mesh.faces))
     claimed, homeless = _claim(owner, mesh, np.flatnonzero(counts == 0))
     rows, columns = np.nonzero(owner >= 0)
-    order = np.argsort(_morton(rows, columns), kind="stable")
+    order = np.argsort(morton_code(rows, columns), kind="stable")
     rows, columns = rows[order], columns[order]
     face = owner[rows, columns]
     barycentric = _barycentric(mesh, face, rows, columns, height, width)
@@ -246,15 +247,3 @@ def _claim_nearest(owner, claimed, empty_faces, centres, reach):  # type: ignore
         owner[best_row, best_column] = empty_faces[k]
         claimed[best_row, best_column] = True
     return homeless
-
-
-def _morton(rows: NDArray[np.int64], columns: NDArray[np.int64]) -> NDArray[np.uint64]:
-    """Interleaved bits of row and column (16 bits each)."""
-
-    def spread(value: NDArray[np.int64]) -> NDArray[np.uint64]:
-        bits = value.astype(np.uint64)
-        for shift, mask in ((8, 0x00FF00FF), (4, 0x0F0F0F0F), (2, 0x33333333), (1, 0x55555555)):
-            bits = (bits | (bits << np.uint64(shift))) & np.uint64(mask)
-        return bits
-
-    return np.asarray((spread(rows) << np.uint64(1)) | spread(columns))

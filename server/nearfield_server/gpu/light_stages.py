@@ -22,9 +22,11 @@ from nearfield_server.gpu.hidden_lamps import SHADERS as HIDDEN_SHADERS
 from nearfield_server.gpu.hidden_lamps import HiddenLamps
 from nearfield_server.gpu.programs import load_compute
 from nearfield_server.pipeline.auto_split import AutoSplit
+from nearfield_server.pipeline.backend import Gathered, Tiles
 from nearfield_server.pipeline.blocks import NORMAL_SCALE, cluster_features, make_blocks
-from nearfield_server.pipeline.gather import frame_pointers, pack_gather_table
+from nearfield_server.pipeline.gather import frame_pointers
 from nearfield_server.pipeline.integration import ValSums, lights_from_sums
+from nearfield_server.pipeline.packed_table import PackedTable, pack_gather_table
 from nearfield_server.pipeline.sampling import stratified_pattern
 from nearfield_server.pipeline.sh_projection import weighted_basis
 from nearfield_server.pipeline.split import COARSE_BINS
@@ -50,6 +52,7 @@ _SHADERS: Final = (
 )
 _MAX_CAMERAS: Final = 16
 _PIXEL_BYTES: Final = 8
+_CAMERA_SHIFT: Final = 28
 
 
 def create_light_backend(setup: BackendSetup, *, allow_software: bool) -> GlBackend:
@@ -73,6 +76,13 @@ def create_light_backend(setup: BackendSetup, *, allow_software: bool) -> GlBack
         raise
 
 
+def _pair_words(table: PackedTable) -> NDArray[np.uint32]:
+    """(P, 3) uint32: camera and pixel, upper taps, lower taps; never empty."""
+    place = (table.camera.astype(np.uint32) << np.uint32(_CAMERA_SHIFT)) | table.pixel
+    words = np.concatenate([place[:, None], table.taps.view(np.uint32)], axis=1)
+    return words if words.size else np.zeros((1, 3), dtype=np.uint32)
+
+
 class GlBackend:
     """Implements `pipeline.backend.StageBackend` on an OpenGL device. Use it from the thread that made it."""
 
@@ -94,10 +104,8 @@ class GlBackend:
         self._camera_shapes = table.camera_shapes
         self._programs = {name: load_compute(context, f"light_{name}.comp") for name in _SHADERS}
         upload = context.storage_buffer
-        pair_start = np.zeros(self._num_texels + 1, dtype=np.uint32)
-        np.cumsum(table.pair_count, out=pair_start[1:])
-        self._pairs = upload(table.pairs if table.pairs.size else np.zeros(1, dtype=np.uint64))
-        self._pair_start = upload(pair_start)
+        self._pairs = upload(_pair_words(table))
+        self._pair_start = upload(table.pair_start.astype(np.uint32))
         self._area = upload(blocks.area)
         geometry = np.zeros((self._num_texels, 2, 4), dtype=np.float32)
         geometry[:, 0, :3] = blocks.position - self._origin
@@ -125,8 +133,8 @@ class GlBackend:
         self._bases: dict[int, Any] = {}
         self._probes: dict[int, tuple[NDArray[np.int32], Any]] = {}
 
-    def gather(self, frames: Sequence[NDArray[np.float16] | None]) -> None:
-        """See `StageBackend`. Pictures are copied to the device as they are (half floats)."""
+    def gather(self, frames: Sequence[NDArray[np.float16] | None], tiles: Tiles | None = None) -> Gathered:
+        """See `StageBackend`. Pictures are copied to the device as they are (half floats), and all texels are gathered."""
         frame_pointers(frames, self._camera_shapes)
         first = np.zeros(_MAX_CAMERAS, dtype=np.uint32)
         width = np.zeros(_MAX_CAMERAS, dtype=np.uint32)
@@ -148,12 +156,17 @@ class GlBackend:
             self._run("fill", groups, [self._fill, self._radiance], uNumFill=self._num_fill)
         if self._hidden is not None:
             self._hidden.update(self._radiance, self._run)
+        return Gathered()
 
     def split(self) -> NDArray[np.float32]:
         """See `StageBackend`."""
         ratio = self._settings.split_ratio
         self._threshold = self._auto_threshold() if ratio is None else self._ratio_threshold(ratio)
         return self._threshold
+
+    def direct_changed(self) -> bool:
+        """See `StageBackend`. The device does not compare radiance with that of the last update: always taken for granted."""
+        return True
 
     def sample(self) -> NDArray[np.float64]:
         """See `StageBackend`."""

@@ -17,9 +17,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-_LEVELS_PER_OCTAVE: Final = 16
-_GROUP: Final = 8
-"""Histogram bins per level: 128 per octave become 16."""
+from nearfield_server.pipeline.levels import LEVEL_SHIFT, LEVELS
+
 _GAP: Final = 5
 """Half width of a gap in levels: a factor 1.24 to either side."""
 
@@ -99,8 +98,8 @@ def auto_threshold(
     """Threshold per channel that leaves sources direct and ordinary lit surfaces indirect.
 
     Args:
-        histogram: (3, split.COARSE_BINS) int64 of `split.radiance_histogram`.
-        scale: that the histogram was made with.
+        histogram: (3, bins) int64 sums of L dA by the upper bits of the radiance: `levels.LEVELS` bins, or a multiple of them.
+        scale: by which L dA was multiplied.
         total_area: of all texels, m^2, black ones included.
         previous: (3,) thresholds in use; each stays while it still splits well and no further source has appeared.
 
@@ -117,7 +116,7 @@ def auto_threshold(
 
 
 def _levels(histogram: NDArray[np.int64], scaled_area: float) -> _Levels | None:
-    energy = histogram.reshape(-1, _GROUP).sum(axis=1).astype(np.float64)
+    energy = histogram.reshape(LEVELS, -1).sum(axis=1).astype(np.float64)
     used = np.flatnonzero(energy)
     if used.size == 0:
         return None
@@ -125,8 +124,12 @@ def _levels(histogram: NDArray[np.int64], scaled_area: float) -> _Levels | None:
     first, last = max(int(used[0]) - 2 * _GAP, 0), int(used[-1]) + _GAP + 1
     energy = energy[first:last]
     level = np.arange(first, last, dtype=np.uint32)
-    radiance = (level << np.uint32(19)).view(np.float32).astype(np.float64)
-    middle = ((level << np.uint32(19)) | np.uint32(1 << 18)).view(np.float32).astype(np.float64)
+    radiance = (level << np.uint32(LEVEL_SHIFT)).view(np.float32).astype(np.float64)
+    middle = (
+        ((level << np.uint32(LEVEL_SHIFT)) | np.uint32(1 << (LEVEL_SHIFT - 1)))
+        .view(np.float32)
+        .astype(np.float64)
+    )
     # Black texels lie below all levels: areas are shares of the whole room. Rounding must not make more than that.
     area = energy / middle / scaled_area
     area /= max(1.0, float(area.sum()))

@@ -1,14 +1,17 @@
 """Gather: camera pictures to radiance per texel (Rohmer et al. 2014, section 4.1) through a precomputed table.
 
 Differs from the paper: projection, visibility and the blend weights of all cameras are static and live in the table, so
-an update only reads the pixels that matter.
+an update only reads the pixels that matter. The energy of each level of radiance, which the split needs, is counted on the way, while
+the radiance is still in registers.
+
+Whole and partial updates run the same instructions on each block, and the energies are integers, so that they leave the same bits.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -16,82 +19,48 @@ from numpy.typing import NDArray
 
 from nearfield_server.errors import ConfigError
 from nearfield_server.pipeline.blocks import BLOCK, FASTMATH, BlockPool
-from nearfield_server.radiometry.half import FRACTION_STEPS, accumulate_taps, prefetch
-from nearfield_server.records import GatherTable
+from nearfield_server.pipeline.levels import LEVEL_SHIFT, LEVELS, energy_scale
+from nearfield_server.pipeline.packed_table import TEXEL_BITS, BlockTable
+from nearfield_server.pipeline.vector_ops import (
+    ACCUMULATOR_BYTES,
+    TAP_BYTES,
+    accumulate_pair,
+    take_blend,
+    to_fixed_point,
+)
+from nearfield_server.radiometry.half import float_bits, prefetch
 
-_CAMERA_SHIFT: Final = 60
-_PIXEL_SHIFT: Final = 32
-_PIXEL_MASK: Final = (1 << 28) - 1
-MAX_CAMERAS: Final = 16
-_PIXEL_BYTES: Final = 8
-_AHEAD: Final = 64
+_PIXEL_BYTES = 8
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class PackedTable:
-    """The gather table in 8 bytes per pair.
+class Atlas:
+    """Radiance of all texels and what is known about it. The arrays are written to by the stages that own it.
 
     Attributes:
-        pairs: (P,) uint64: camera (4 bits), top-left pixel (28), fraction x (8), fraction y (8), weight (16). Fractions are
-            n / 255; weights are relative, the kernel divides by their sum over the valid pixels.
-        pair_count: (N,) uint8, pairs per texel.
-        block_pair_start: (B + 1,) int64, first pair of each block.
-        camera_shapes: ((height, width), ...).
+        radiance: (N, 3) float32 >= 0.
+        block_max: (B, 3) float32, largest radiance of each block.
+        energy: (3, LEVELS) int64, sum of L dA by level of radiance, times `energy_scale`.
+        energy_scale: power of two, see `levels.energy_scale`.
+        area: (N,) float32 m^2.
     """
 
-    pairs: NDArray[np.uint64]
-    pair_count: NDArray[np.uint8]
-    block_pair_start: NDArray[np.int64]
-    camera_shapes: tuple[tuple[int, int], ...]
+    radiance: NDArray[np.float32]
+    block_max: NDArray[np.float32]
+    energy: NDArray[np.int64]
+    energy_scale: float
+    area: NDArray[np.float32]
 
 
-def pack_gather_table(table: GatherTable) -> PackedTable:
-    """Pack a gather table for the kernel. Done once per room.
-
-    A tap on the last column or row is moved one pixel back with fraction 1, so that the kernel may always read 2x2 pixels.
-
-    Raises:
-        ConfigError: more than 16 cameras, a picture smaller than 2x2 or larger than 2^28 pixels, a texel with more than
-            255 pairs, or a pair outside its picture.
-    """
-    shapes = table.camera_shapes
-    if len(shapes) > MAX_CAMERAS:
-        raise ConfigError(f"the room has {len(shapes)} cameras, at most {MAX_CAMERAS} are supported")
-    for index, shape in enumerate(shapes):
-        if min(shape) < 2 or shape[0] * shape[1] > _PIXEL_MASK:
-            raise ConfigError(
-                f"camera {index} delivers {shape[1]}x{shape[0]} pixels; expected 2x2 up to 2^28 pixels"
-            )
-    counts = np.diff(table.pair_start)
-    if counts.size and (counts.min() < 0 or counts.max() > 255):
-        raise ConfigError(
-            f"gather table: a texel has {counts.max()} pairs (min {counts.min()}), expected 0 to 255"
-        )
-    camera = table.camera.astype(np.int64)
-    if camera.size and camera.max() >= len(shapes):
-        raise ConfigError(
-            f"gather table names camera {camera.max()}, but there are {len(shapes)}; rebuild the table"
-        )
-    height = np.array([shape[0] for shape in shapes] or [0], dtype=np.int64)[camera]
-    width = np.array([shape[1] for shape in shapes] or [0], dtype=np.int64)[camera]
-    row, column = np.divmod(table.pixel.astype(np.int64), np.maximum(width, 1))
-    if np.any(row >= height):
-        raise ConfigError("gather table names pixels outside the camera picture; rebuild the table")
-    fraction_x = np.rint(table.fraction_x.astype(np.float64) * FRACTION_STEPS).astype(np.int64)
-    fraction_y = np.rint(table.fraction_y.astype(np.float64) * FRACTION_STEPS).astype(np.int64)
-    last_column, last_row = column == width - 1, row == height - 1
-    column, fraction_x = (
-        np.where(last_column, column - 1, column),
-        np.where(last_column, FRACTION_STEPS, fraction_x),
-    )
-    row, fraction_y = np.where(last_row, row - 1, row), np.where(last_row, FRACTION_STEPS, fraction_y)
-    weight = np.clip(np.rint(table.weight.astype(np.float64) * 65535.0), 1, 65535).astype(np.int64)
-    pairs = camera.astype(np.uint64) << np.uint64(_CAMERA_SHIFT)
-    pairs |= (row * width + column).astype(np.uint64) << np.uint64(_PIXEL_SHIFT)
-    pairs |= ((fraction_x << 24) | (fraction_y << 16) | weight).astype(np.uint64)
-    starts = np.append(table.pair_start[:-1][::BLOCK], table.pair_start[-1]).astype(np.int64)
-    return PackedTable(
-        pairs=pairs, pair_count=counts.astype(np.uint8), block_pair_start=starts, camera_shapes=shapes
+def black_atlas(area: NDArray[np.float32]) -> Atlas:
+    """An atlas of (N,) texels without light."""
+    num_blocks = -(-area.shape[0] // BLOCK)
+    return Atlas(
+        radiance=np.zeros((area.shape[0], 3), dtype=np.float32),
+        block_max=np.zeros((num_blocks, 3), dtype=np.float32),
+        energy=np.zeros((3, LEVELS), dtype=np.int64),
+        energy_scale=energy_scale(area),
+        area=area,
     )
 
 
@@ -124,108 +93,156 @@ def frame_pointers(
 
 
 @njit(cache=True, nogil=True, fastmath=FASTMATH)  # type: ignore[untyped-decorator]
+def _accumulate_block(
+    block: int,
+    after: int,
+    num_cameras: int,
+    segment_start: Any,
+    target: Any,
+    tap_address: int,
+    address: Any,
+    stride: Any,
+    accumulators: int,
+) -> None:
+    """Add up the pixels of all cameras, and ask for those of the block that comes `after`."""
+    for camera in range(num_cameras):
+        first = segment_start[block * num_cameras + camera]
+        last = segment_start[block * num_cameras + camera + 1]
+        base, pitch = address[camera], stride[camera]
+        if base == 0:
+            continue
+        # The pixels of the next block of the same camera: far enough ahead for memory, and lower rows come as upper ones.
+        ahead = segment_start[after * num_cameras + camera]
+        ahead_last = segment_start[after * num_cameras + camera + 1]
+        for k in range(first, last):
+            if ahead < ahead_last:
+                prefetch(base + np.int64(target[ahead] >> np.uint32(TEXEL_BITS)) * _PIXEL_BYTES)
+                ahead += 1
+            upper = base + np.int64(target[k] >> np.uint32(TEXEL_BITS)) * _PIXEL_BYTES
+            slot = np.int64(target[k] & np.uint32(BLOCK - 1))
+            accumulate_pair(
+                upper, upper + pitch, tap_address + k * TAP_BYTES, accumulators + slot * ACCUMULATOR_BYTES
+            )
+
+
+@njit(cache=True, nogil=True, inline="always")  # type: ignore[untyped-decorator]
+def _count_energy(energy: Any, red: Any, green: Any, blue: Any, weight: float, sign: int) -> None:
+    amounts = to_fixed_point(red, green, blue, weight)
+    energy[0, np.int64(float_bits(red) >> np.uint32(LEVEL_SHIFT))] += sign * amounts[0]
+    energy[1, np.int64(float_bits(green) >> np.uint32(LEVEL_SHIFT))] += sign * amounts[1]
+    energy[2, np.int64(float_bits(blue) >> np.uint32(LEVEL_SHIFT))] += sign * amounts[2]
+
+
+@njit(cache=True, nogil=True, fastmath=FASTMATH)  # type: ignore[untyped-decorator]
 def _gather_blocks(
     chunk: int,
     first: int,
     last: int,
-    pairs: Any,
-    pair_count: Any,
-    block_pair_start: Any,
+    blocks: Any,
+    num_cameras: int,
+    segment_start: Any,
+    target: Any,
+    taps: Any,
+    seen: Any,
     address: Any,
     stride: Any,
+    area: Any,
+    scale: float,
+    is_partial: bool,
     radiance: Any,
     block_max: Any,
+    changed: Any,
+    energy: Any,
 ) -> None:
-    for block in range(first, last):
-        k = block_pair_start[block]
+    buffer = np.zeros((BLOCK + 1) * ACCUMULATOR_BYTES // 4, dtype=np.float32)
+    accumulators = (buffer.ctypes.data + ACCUMULATOR_BYTES - 1) // ACCUMULATOR_BYTES * ACCUMULATOR_BYTES
+    tap_address = taps.ctypes.data
+    levels = energy[chunk]
+    for position in range(first, last):
+        block = blocks[position]
+        after = blocks[min(position + 1, last - 1)]
+        _accumulate_block(
+            block, after, num_cameras, segment_start, target, tap_address, address, stride, accumulators
+        )
         high0, high1, high2 = np.float32(0.0), np.float32(0.0), np.float32(0.0)
-        stop = min((block + 1) * BLOCK, pair_count.shape[0])
-        for texel in range(block * BLOCK, stop):
-            total = (np.float32(0.0), np.float32(0.0), np.float32(0.0), np.float32(0.0))
-            for _ in range(pair_count[texel]):
-                if k + _AHEAD < pairs.shape[0]:
-                    ahead = pairs[k + _AHEAD]
-                    camera = np.int64(ahead >> np.uint64(_CAMERA_SHIFT))
-                    row0 = (
-                        address[camera]
-                        + (np.int64(ahead >> np.uint64(_PIXEL_SHIFT)) & _PIXEL_MASK) * _PIXEL_BYTES
-                    )
-                    prefetch(row0)
-                    prefetch(row0 + stride[camera])
-                pair = pairs[k]
-                k += 1
-                camera = np.int64(pair >> np.uint64(_CAMERA_SHIFT))
-                base = address[camera]
-                if base != 0:
-                    row0 = base + (np.int64(pair >> np.uint64(_PIXEL_SHIFT)) & _PIXEL_MASK) * _PIXEL_BYTES
-                    low = np.uint32(pair & np.uint64(0xFFFFFFFF))
-                    fraction_x = np.float32(low >> np.uint32(24))
-                    fraction_y = np.float32((low >> np.uint32(16)) & np.uint32(255))
-                    weight = np.float32(low & np.uint32(0xFFFF))
-                    total = accumulate_taps(
-                        row0, row0 + stride[camera], fraction_x, fraction_y, weight, total
-                    )
-            scale = np.float32(0.0)
-            if total[3] > np.float32(0.0):
-                scale = np.float32(1.0) / total[3]
-            value0, value1, value2 = total[0] * scale, total[1] * scale, total[2] * scale
-            radiance[texel, 0], radiance[texel, 1], radiance[texel, 2] = value0, value1, value2
-            high0, high1, high2 = max(high0, value0), max(high1, value1), max(high2, value2)
+        is_changed = False
+        for texel in range(block * BLOCK, min((block + 1) * BLOCK, area.shape[0])):
+            old0, old1, old2 = radiance[texel, 0], radiance[texel, 1], radiance[texel, 2]
+            if seen[texel]:
+                slot = accumulators + (texel - block * BLOCK) * ACCUMULATOR_BYTES
+                new0, new1, new2 = take_blend(slot)
+                weight = np.float64(area[texel]) * scale
+                if old0 != new0 or old1 != new1 or old2 != new2:
+                    is_changed = True
+                    radiance[texel, 0], radiance[texel, 1], radiance[texel, 2] = new0, new1, new2
+                    if is_partial:
+                        _count_energy(levels, old0, old1, old2, weight, -1)
+                        _count_energy(levels, new0, new1, new2, weight, 1)
+                if not is_partial:
+                    _count_energy(levels, new0, new1, new2, weight, 1)
+                old0, old1, old2 = new0, new1, new2
+            high0, high1, high2 = max(high0, old0), max(high1, old1), max(high2, old2)
         block_max[block, 0], block_max[block, 1], block_max[block, 2] = high0, high1, high2
+        changed[block] = is_changed
 
 
 def gather(
-    table: PackedTable,
+    table: BlockTable,
     frames: Sequence[NDArray[np.float16] | None],
-    radiance: NDArray[np.float32],
-    block_max: NDArray[np.float32],
+    atlas: Atlas,
     pool: BlockPool,
     *,
-    fill_texels: NDArray[np.int32] | None = None,
-    fill_sources: NDArray[np.int32] | None = None,
-) -> None:
+    blocks: NDArray[np.int32] | None = None,
+) -> NDArray[np.bool_]:
     """Blend the pictures of all cameras into radiance per texel.
 
     Invalid pixels (alpha 0) and missing cameras are left out and the other weights are renormalised; a texel that no valid
-    pixel shows gets 0, unless `fill_texels` names it: then it repeats the radiance of its entry in `fill_sources`.
+    pixel shows gets 0. Texels without pairs are left as they are.
 
     Args:
-        table: packed gather table.
+        table: gather table by blocks.
         frames: per camera (H, W, 4) float16, or None.
-        radiance: (N, 3) float32, overwritten.
-        block_max: (B, 3) float32, overwritten with the largest radiance of each block.
+        atlas: updated.
         pool: threads.
-        fill_texels: (U,) positions in texel order without any pair.
-        fill_sources: (U,) positions that have pairs.
+        blocks: increasing numbers of the only blocks whose pixels may differ from those of the last call; None: all.
+
+    Returns:
+        (B,) bool: blocks in which the radiance of a texel is another one than before.
 
     Raises:
         ConfigError: pictures do not fit the table.
     """
     address, stride = frame_pointers(frames, table.camera_shapes)
+    changed = np.zeros(table.num_blocks, dtype=np.bool_)
+    is_partial = blocks is not None
+    chosen = np.arange(table.num_blocks, dtype=np.int32) if blocks is None else blocks
+    num_chunks = 1 if chosen.size < 2 * pool.num_threads else pool.num_threads
+    energy = np.zeros((num_chunks, 3, LEVELS), dtype=np.int64)
     pool.run(
         _gather_blocks,
-        block_max.shape[0],
-        table.pairs,
-        table.pair_count,
-        table.block_pair_start,
+        chosen.size,
+        chosen,
+        len(table.camera_shapes),
+        table.segment_start,
+        table.target,
+        table.taps,
+        table.seen,
         address,
         stride,
-        radiance,
-        block_max,
+        atlas.area,
+        atlas.energy_scale,
+        is_partial,
+        atlas.radiance,
+        atlas.block_max,
+        changed,
+        energy,
+        num_chunks=num_chunks,
     )
-    if fill_texels is not None and fill_sources is not None:
-        _fill(fill_texels, fill_sources, radiance, block_max)
-
-
-@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
-def _fill(texels: Any, sources: Any, radiance: Any, block_max: Any) -> None:
-    for k in range(texels.shape[0]):
-        texel, source = texels[k], sources[k]
-        for channel in range(3):
-            value = radiance[source, channel]
-            radiance[texel, channel] = value
-            block = texel // BLOCK
-            block_max[block, channel] = max(block_max[block, channel], value)
+    total = energy.sum(axis=0)
+    if is_partial:
+        total += atlas.energy
+    atlas.energy[...] = total
+    return changed
 
 
 def block_maxima(radiance: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -21,10 +21,10 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from nearfield_server.pipeline.blocks import BLOCK
 from nearfield_server.pipeline.probes import ProbeTracer
 from nearfield_server.pipeline.receiver_patches import PATCH_TEXELS, find_patches
 from nearfield_server.radiometry.cube import cube_directions, cube_solid_angles
+from nearfield_server.radiometry.half import HALF_MAX
 from nearfield_server.records import RoomMesh, TexelGeometry, UnseenFill
 
 _RESOLUTION: Final = 24
@@ -299,9 +299,9 @@ def explain_receivers(
         (G, 3) float64 >= 0.
     """
     measured = np.asarray(receiver_radiance, dtype=np.float64) * hidden.inverse_albedo
-    return np.asarray(
-        _explain(hidden.form_factor, hidden.group_rows, measured, measured - visible_irradiance)
-    )
+    explained = _explain(hidden.form_factor, hidden.group_rows, measured, measured - visible_irradiance)
+    # More than a camera can deliver is no lamp, and sums of energy rely on that bound.
+    return np.asarray(np.minimum(explained, HALF_MAX))
 
 
 @njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
@@ -376,14 +376,3 @@ def _explain(factors: Any, group_rows: Any, measured: Any, missing: Any) -> Any:
                     for channel in range(3):
                         missing[row, channel] -= factors[row, best] * found[best, channel]
     return result
-
-
-@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
-def write_hidden_radiance(texels: Any, group: Any, values: Any, radiance: Any, block_max: Any) -> None:
-    """Set the texels of hidden surfaces to `values` (G, 3), and keep the block maxima true."""
-    for k in range(texels.shape[0]):
-        for channel in range(3):
-            value = np.float32(values[group[k], channel])
-            radiance[texels[k], channel] = value
-            block = texels[k] // BLOCK
-            block_max[block, channel] = max(block_max[block, channel], value)

@@ -13,7 +13,14 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from nearfield_server.pipeline.blocks import BLOCK, NORMAL_SCALE, NUM_CHUNKS, BlockPool, TexelBlocks
+from nearfield_server.pipeline.blocks import (
+    BLOCK,
+    NORMAL_SCALE,
+    BlockPool,
+    TexelBlocks,
+    direct_blocks,
+    num_chunks_for,
+)
 from nearfield_server.pipeline.sampling import direct_weight
 
 # Columns of the sums: I (3), grey weight, weight * position (3), weight * normal (3), weight * dA,
@@ -62,13 +69,13 @@ def _integrate_blocks(
     chunk: int,
     first: int,
     last: int,
+    blocks: Any,
     radiance: Any,
     position: Any,
     normal: Any,
     area: Any,
     block_centre: Any,
     block_radius: Any,
-    block_max: Any,
     threshold: Any,
     centres: Any,
     origin: Any,
@@ -76,13 +83,8 @@ def _integrate_blocks(
 ) -> None:
     slots = np.empty(centres.shape[0], dtype=np.int64)
     distance = np.empty(centres.shape[0])
-    for block in range(first, last):
-        if not (
-            block_max[block, 0] >= threshold[0]
-            or block_max[block, 1] >= threshold[1]
-            or block_max[block, 2] >= threshold[2]
-        ):
-            continue
+    for position_in_list in range(first, last):
+        block = blocks[position_in_list]
         count = _candidates(block_centre[block], block_radius[block], centres, slots, distance)
         stop = min((block + 1) * BLOCK, area.shape[0])
         for texel in range(block * BLOCK, stop):
@@ -173,21 +175,24 @@ def integrate(
     living = np.flatnonzero(alive)
     sums = np.zeros((num_slots, _COLUMNS))
     if living.size:
-        partial = np.zeros((NUM_CHUNKS, living.size, _COLUMNS))
+        direct = direct_blocks(block_max, threshold)
+        num_chunks = num_chunks_for(direct.size)
+        partial = np.zeros((num_chunks, living.size, _COLUMNS))
         pool.run(
             _integrate_blocks,
-            blocks.num_blocks,
+            direct.size,
+            direct,
             radiance,
             blocks.position,
             blocks.normal,
             blocks.area,
             blocks.block_centre,
             blocks.block_radius,
-            block_max,
             threshold,
             np.ascontiguousarray(centres[living]),
             blocks.origin,
             partial,
+            num_chunks=num_chunks,
         )
         sums[living] = partial.sum(axis=0)
     return lights_from_sums(sums, blocks.origin, centres)

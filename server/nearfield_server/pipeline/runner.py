@@ -1,15 +1,16 @@
 """The runner: orders the light stages, skips what did not change, and reports what ran.
 
-A stage has declared inputs; it runs when the revision of one of them changed. Clocks are passed in.
+A stage has declared inputs; it runs when one of them changed: pictures and poses by their revision, everything after them bit for
+bit, whether the radiance came from a whole gather or from one of changed tiles. Clocks are passed in.
 """
 
 from __future__ import annotations
 
 import importlib
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import Final, Literal, TypeVar
+from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,10 +18,13 @@ from numpy.typing import NDArray
 from nearfield_protocol.codec import VAL_DTYPE
 from nearfield_server.errors import ConfigError, GraphicsError
 from nearfield_server.pipeline.backend import BackendSetup, CpuBackend, StageBackend
+from nearfield_server.pipeline.blocks import BLOCK
 from nearfield_server.pipeline.clustering import ClusterState, empty_state, update_clusters
+from nearfield_server.pipeline.frame_tracker import FrameTracker
 from nearfield_server.pipeline.hidden_light import HiddenLight
 from nearfield_server.pipeline.integration import ValSums
 from nearfield_server.pipeline.probes import ProbeTracer
+from nearfield_server.pipeline.stage_log import Clock, StageLog
 from nearfield_server.records import (
     CameraFrame,
     GatherTable,
@@ -28,23 +32,18 @@ from nearfield_server.records import (
     LightUpdate,
     ObjectPose,
     RoomMesh,
-    StageReport,
     TexelGeometry,
     UnseenFill,
 )
 
 BackendName = Literal["auto", "cpu", "gl", "reference"]
-Clock = Callable[[], float]
-STAGES: Final = ("gather", "split", "sample", "cluster", "integrate", "probe", "sh")
+LIGHT_STAGES: Final = ("split", "sample", "cluster", "integrate")
+STAGES: Final = ("gather", *LIGHT_STAGES, "probe", "sh")
 PROBE_RESOLUTION: Final = 64
 """Cube pixels per edge. Differs from the paper (32): the texels behind a probe are traced only when an object moves, and
 64 point samples per edge lower the projection's error from 2.7 to 1.0 %."""
-_MEAN_OVER_RUNS: Final = 16
-"""Whole runs of a stage that its mean cost remembers."""
 _MIN_VALS: Final = 1
 _MAX_VALS: Final = 64
-
-_T = TypeVar("_T")
 
 
 class LightPipeline:
@@ -99,20 +98,21 @@ class LightPipeline:
         self._stages = _make_backend(backend, setup)
         self._settings = settings
         self._probe_rays = probe_rays
-        self._wall_clock, self._cpu_clock = wall_clock, cpu_clock
-        self._num_cameras = len(table.camera_shapes)
-        self._frames: list[CameraFrame | None] = [None] * self._num_cameras
-        self._gathered: tuple[int | None, ...] | None = None
+        self._log = StageLog(STAGES, wall_clock, cpu_clock)
+        self._tracker = FrameTracker(table.camera_shapes)
         self._clusters: ClusterState = empty_state(settings.num_vals)
+        self._points = np.zeros((0, 6))
         self._threshold = np.full(3, np.inf, dtype=np.float32)
         self._vals = np.zeros(settings.num_vals, dtype=VAL_DTYPE)
+        self._is_half_done = True
         self._probe_revisions: list[tuple[int, int]] = []
         self._probes: list[NDArray[np.int32]] = []
+        self._probe_blocks: list[NDArray[np.int64]] = []
         self._object_sh = np.zeros((0, 9, 3), dtype=np.float32)
+        self._stale_objects: set[int] = set()
         self._unseen = int(np.count_nonzero(np.diff(table.pair_start) == 0)) - setup.fill_texels.size
-        self._reports: list[StageReport] = []
-        self._costs = {stage: _MeanCost() for stage in STAGES}
-        self._key: object = None
+        self._seen_frames: Sequence[CameraFrame | None] = ()
+        self._seen_poses: Sequence[ObjectPose] = ()
         self._unchanged: LightUpdate | None = None
         self._revision = 0
 
@@ -140,91 +140,132 @@ class LightPipeline:
         Raises:
             ConfigError: the number, order or shape of the pictures does not fit the room.
         """
-        key = (
-            [None if frame is None else (frame.content_revision, frame.timestamp_ns) for frame in frames],
-            [pose.revision for pose in poses],
-        )
-        if key == self._key and self._unchanged is not None:
-            return self._unchanged
-        self._key = None
-        self._take_frames(frames)
-        self._reports = []
-        content = tuple(None if frame is None else frame.content_revision for frame in self._frames)
-        new_light = content != self._gathered
-        if new_light:
-            # Should a stage fail, the next update starts over.
-            self._gathered = None
-            self._extract()
-        else:
-            for stage in STAGES[:5]:
-                self._skip(stage)
-        changed = self._update_objects(poses, new_light)
-        self._gathered = content
-        if (new_light and self._pack_vals()) or changed or self._revision == 0:
+        unchanged = self._unchanged
+        if unchanged is not None and self._is_seen(frames, poses):
+            return unchanged
+        self._unchanged = None
+        self._tracker.take(frames)
+        self._log.start()
+        lights_changed = self._tracker.has_news() and self._refresh()
+        changed = self._update_objects(poses)
+        if lights_changed or changed or self._revision == 0:
             self._revision += 1
         update = self._result()
-        self._unchanged = replace(update, stages=tuple(self._skipped(stage) for stage in STAGES))
-        self._key = key
+        self._log.start()
+        self._unchanged = replace(update, stages=self._log.reports())
+        self._seen_frames, self._seen_poses = tuple(frames), tuple(poses)
         return update
 
-    def _take_frames(self, frames: Sequence[CameraFrame | None]) -> None:
-        if len(frames) != self._num_cameras:
-            raise ConfigError(
-                f"expected one picture or None per camera ({self._num_cameras}), found {len(frames)}"
+    def _is_seen(self, frames: Sequence[CameraFrame | None], poses: Sequence[ObjectPose]) -> bool:
+        """Whether revisions and times are those of the last update; this is all that an unchanged update costs."""
+        if len(frames) != len(self._seen_frames) or len(poses) != len(self._seen_poses):
+            return False
+        for frame, seen in zip(frames, self._seen_frames):  # noqa: B905 (equal lengths; strict costs time here)
+            if frame is not seen and (
+                frame is None
+                or seen is None
+                or frame.content_revision != seen.content_revision
+                or frame.timestamp_ns != seen.timestamp_ns
+            ):
+                return False
+        for pose, old in zip(poses, self._seen_poses):  # noqa: B905
+            if pose is not old and (pose.revision != old.revision or pose.object_index != old.object_index):
+                return False
+        return True
+
+    def _refresh(self) -> bool:
+        """Pictures to lights. True if any light changed."""
+        stages, log = self._stages, self._log
+        tiles = self._tracker.changed_tiles()
+        pixels = [None if frame is None else frame.pixels for frame in self._tracker.frames]
+        # Should a stage fail, the next update starts over.
+        self._tracker.forget()
+        everything, self._is_half_done = self._is_half_done, True
+        reason = "new pictures" if tiles is None else "changed tiles"
+        gathered = log.timed("gather", reason, lambda: stages.gather(pixels, tiles), lambda done: done.part)
+        lights_changed = False
+        if everything or not gathered.is_same:
+            self._mark_objects(None if everything else gathered.changed)
+            lights_changed = self._extract("new radiance", everything)
+        else:
+            for stage in LIGHT_STAGES:
+                log.skip(stage, "same radiance")
+        self._is_half_done = False
+        self._tracker.mark_gathered()
+        return lights_changed
+
+    def _extract(self, reason: str, everything: bool) -> bool:
+        """Radiance to lights: the stages that depend on radiance alone. True if any light changed."""
+        stages, log = self._stages, self._log
+        threshold = log.timed("split", reason, stages.split)
+        if not np.array_equal(threshold, self._threshold):
+            self._stale_objects.update(range(len(self._probes)))
+        self._threshold = threshold
+        if not everything and not stages.direct_changed():
+            for stage in LIGHT_STAGES[1:]:
+                log.skip(stage, "same direct light")
+            return False
+        points = log.timed("sample", reason, stages.sample)
+        if everything or not np.array_equal(points, self._points):
+            iterations = self._settings.kmeans_iterations
+            self._clusters = log.timed(
+                "cluster", reason, lambda: update_clusters(self._clusters, points, iterations)
             )
-        for index, frame in enumerate(frames):
-            if frame is None:
-                continue
-            if frame.camera_index != index:
-                raise ConfigError(
-                    f"picture {index} belongs to camera {frame.camera_index}; pass them in camera order"
-                )
-            self._frames[index] = frame
+            self._points = points
+        else:
+            log.skip("cluster", "same samples")
+        clusters = self._clusters
+        sums = log.timed("integrate", reason, lambda: stages.integrate(clusters.centres, clusters.alive))
+        return self._pack_vals(sums)
 
-    def _extract(self) -> None:
-        """Frames to lights: the stages that depend on radiance alone."""
-        stages, reason = self._stages, "new pictures"
-        pixels = [None if frame is None else frame.pixels for frame in self._frames]
-        self._timed("gather", reason, lambda: stages.gather(pixels))
-        self._threshold = self._timed("split", reason, stages.split)
-        points = self._timed("sample", reason, stages.sample)
-        iterations = self._settings.kmeans_iterations
-        self._clusters = self._timed(
-            "cluster", reason, lambda: update_clusters(self._clusters, points, iterations)
-        )
-        self._sums: ValSums = self._timed(
-            "integrate", reason, lambda: stages.integrate(self._clusters.centres, self._clusters.alive)
-        )
+    def _mark_objects(self, changed: NDArray[np.bool_] | None) -> None:
+        """Note whose SH new radiance in some blocks, or anywhere, makes stale."""
+        for k, blocks in enumerate(self._probe_blocks):
+            if changed is None or changed[blocks].any():
+                self._stale_objects.add(k)
 
-    def _update_objects(self, poses: Sequence[ObjectPose], new_light: bool) -> bool:
+    def _update_objects(self, poses: Sequence[ObjectPose]) -> bool:
         """Probes of moved objects, then SH of objects whose probe or light changed. True if any SH changed."""
         revisions = [(pose.object_index, pose.revision) for pose in poses]
         old = self._probe_revisions
         moved = [k for k, revision in enumerate(revisions) if k >= len(old) or old[k] != revision]
         if len(old) != len(revisions):
             self._probe_revisions, self._probes = old[: len(poses)], self._probes[: len(poses)]
+            self._probe_blocks = self._probe_blocks[: len(poses)]
         if moved:
             self._probe_revisions = []
-            self._timed("probe", f"objects {moved} moved", lambda: self._trace(poses, moved))
+            self._log.timed(
+                "probe",
+                f"objects {moved} moved",
+                lambda: self._trace(poses, moved),
+                lambda _: len(moved) / len(poses),
+            )
             self._probe_revisions = revisions
-        else:
-            self._skip("probe")
-        todo = range(len(poses)) if new_light else moved
-        if not todo and self._object_sh.shape[0] == len(poses):
-            self._skip("sh")
-            return False
+            self._stale_objects.update(moved)
+        todo = sorted(k for k in self._stale_objects if k < len(poses))
         before = self._object_sh
-        reason = "new radiance" if new_light else f"objects {moved} moved"
-        self._object_sh = self._timed("sh", reason, lambda: self._project(before, len(poses), todo))
+        if not todo and before.shape[0] == len(poses):
+            self._log.skip("sh", "same light around every object")
+            return False
+        reason = f"objects {moved} moved" if moved == todo else f"new light around objects {todo}"
+        self._object_sh = self._log.timed(
+            "sh",
+            reason,
+            lambda: self._project(before, len(poses), todo),
+            lambda _: len(todo) / max(1, len(poses)),
+        )
+        self._stale_objects.clear()
         return not np.array_equal(before, self._object_sh)
 
     def _trace(self, poses: Sequence[ObjectPose], moved: Sequence[int]) -> None:
         self._probes = (self._probes + [np.zeros(0, dtype=np.int32)] * len(poses))[: len(poses)]
+        self._probe_blocks = (self._probe_blocks + [np.zeros(0, dtype=np.int64)] * len(poses))[: len(poses)]
         for k in moved:
             world_from_object = poses[k].world_from_object
             centre = world_from_object[:3, :3] @ poses[k].centre_object + world_from_object[:3, 3]
             probe = self._probe_rays.trace(centre, PROBE_RESOLUTION)
             self._probes[k] = np.ascontiguousarray(probe, dtype=np.int32)
+            self._probe_blocks[k] = np.unique(probe[probe >= 0] // BLOCK).astype(np.int64)
 
     def _project(self, before: NDArray[np.float32], count: int, todo: Sequence[int]) -> NDArray[np.float32]:
         object_sh = np.zeros((count, 9, 3), dtype=np.float32)
@@ -233,23 +274,23 @@ class LightPipeline:
             object_sh[k] = self._stages.project_sh(self._probes[k], PROBE_RESOLUTION)
         return object_sh
 
-    def _pack_vals(self) -> bool:
+    def _pack_vals(self, sums: ValSums) -> bool:
         """Lights as records for the wire; True if they differ from the last ones."""
         vals = np.zeros(self._settings.num_vals, dtype=VAL_DTYPE)
-        vals["position"] = self._sums.position
-        vals["normal"] = self._sums.normal
-        vals["radiant_intensity"] = self._sums.radiant_intensity
-        vals["area"] = self._sums.area
+        vals["position"] = sums.position
+        vals["normal"] = sums.normal
+        vals["radiant_intensity"] = sums.radiant_intensity
+        vals["area"] = sums.area
         vals["generation"] = self._clusters.generation
         changed = vals.tobytes() != self._vals.tobytes()
         self._vals = vals
         return changed
 
     def _result(self) -> LightUpdate:
-        taken = [frame.timestamp_ns for frame in self._frames if frame is not None]
+        taken = [frame.timestamp_ns for frame in self._tracker.frames if frame is not None]
         intensity = self._vals["radiant_intensity"]
         counters = {
-            "cameras_missing": float(self._num_cameras - len(taken)),
+            "cameras_missing": float(len(self._tracker.frames) - len(taken)),
             "texels_unseen": float(self._unseen),
             "vals_used": float(np.count_nonzero(intensity.any(axis=1))),
             "direct_radiant_intensity": float(intensity.sum(dtype=np.float64) / 3.0),
@@ -260,50 +301,9 @@ class LightPipeline:
             vals=self._vals,
             object_sh=self._object_sh,
             threshold=self._threshold,
-            stages=tuple(self._reports),
+            stages=self._log.reports(),
             counters=counters,
         )
-
-    def _timed(self, name: str, reason: str, stage: Callable[[], _T]) -> _T:
-        wall, cpu = self._wall_clock(), self._cpu_clock()
-        result = stage()
-        report = StageReport(
-            name=name,
-            ran=True,
-            reason=reason,
-            wall_ms=(self._wall_clock() - wall) * 1e3,
-            cpu_ms=(self._cpu_clock() - cpu) * 1e3,
-        )
-        self._costs[name].add(report.cpu_ms)
-        self._reports.append(report)
-        return result
-
-    def _skip(self, name: str) -> None:
-        self._reports.append(self._skipped(name))
-
-    def _skipped(self, name: str) -> StageReport:
-        return StageReport(
-            name=name,
-            ran=False,
-            reason="unchanged",
-            wall_ms=0.0,
-            cpu_ms=0.0,
-            part=0.0,
-            saved_ms=self._costs[name].mean_ms,
-        )
-
-
-class _MeanCost:
-    """Running mean of the CPU time of a stage's whole runs; old runs fade."""
-
-    def __init__(self) -> None:
-        self.mean_ms = 0.0
-        self._runs = 0
-
-    def add(self, cpu_ms: float) -> None:
-        """Count one whole run."""
-        self._runs = min(self._runs + 1, _MEAN_OVER_RUNS)
-        self.mean_ms += (cpu_ms - self.mean_ms) / self._runs
 
 
 def _check_inputs(texels: TexelGeometry, table: GatherTable, settings: LightSettings) -> None:

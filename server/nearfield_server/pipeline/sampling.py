@@ -1,7 +1,7 @@
 """Importance sampling of the direct atlas (Rohmer et al. 2014, section 4.3): density proportional to direct L dA.
 
 The pattern is stratified and fixed, so equal input gives equal samples. The cumulative sum is float64: in float32 up to
-99 % of the texels of a room with one bright lamp would never be chosen.
+99 % of the texels of a room with one bright lamp would never be chosen. Only blocks that reach the threshold are read.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from nearfield_server.pipeline.blocks import BLOCK, BlockPool
+from nearfield_server.pipeline.blocks import BLOCK, BlockPool, direct_blocks, num_chunks_for
 
 
 def stratified_pattern(num_samples: int, seed: int) -> NDArray[np.float64]:
@@ -34,38 +34,43 @@ def direct_weight(radiance: Any, area: Any, threshold: Any, texel: int) -> float
 
 @njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
 def _block_weights(
-    chunk: int, first: int, last: int, radiance: Any, area: Any, threshold: Any, block_max: Any, weights: Any
+    chunk: int, first: int, last: int, blocks: Any, radiance: Any, area: Any, threshold: Any, weights: Any
 ) -> None:
-    for block in range(first, last):
+    for k in range(first, last):
         total = 0.0
-        if (
-            block_max[block, 0] >= threshold[0]
-            or block_max[block, 1] >= threshold[1]
-            or block_max[block, 2] >= threshold[2]
-        ):
-            stop = min((block + 1) * BLOCK, area.shape[0])
-            for texel in range(block * BLOCK, stop):
-                total += direct_weight(radiance, area, threshold, texel)
-        weights[block] = total
+        for texel in range(blocks[k] * BLOCK, min((blocks[k] + 1) * BLOCK, area.shape[0])):
+            total += direct_weight(radiance, area, threshold, texel)
+        weights[k] = total
 
 
 @njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
 def _pick(
-    radiance: Any, area: Any, threshold: Any, block_first: Any, positions: Any, blocks: Any, samples: Any
+    radiance: Any,
+    area: Any,
+    threshold: Any,
+    blocks: Any,
+    block_first: Any,
+    positions: Any,
+    owner: Any,
+    samples: Any,
 ) -> None:
+    """Walk through the blocks once: positions increase, so a sample goes on where the one before stopped."""
+    chosen, texel, before, newest = -1, 0, 0.0, -1
     for k in range(positions.shape[0]):
-        block = blocks[k]
-        rest = positions[k] - block_first[block]
+        block = blocks[owner[k]]
+        if newest != block:
+            newest, chosen, texel, before = block, -1, block * BLOCK, 0.0
+        rest = positions[k] - block_first[owner[k]]
         stop = min((block + 1) * BLOCK, area.shape[0])
-        chosen = -1
-        for texel in range(block * BLOCK, stop):
+        while texel < stop:
             weight = direct_weight(radiance, area, threshold, texel)
             if weight > 0.0:
                 # Rounding may leave a rest behind the last texel: then the last one with weight is meant.
                 chosen = texel
-                if rest < weight:
+                if rest < before + weight:
                     break
-                rest -= weight
+                before += weight
+            texel += 1
         samples[k] = chosen
 
 
@@ -90,16 +95,26 @@ def sample_direct_texels(
     Returns:
         (S,) positions in texel order, or (0,) where nothing is direct; and the grey sum of direct L dA, W/sr.
     """
-    weights = np.zeros(block_max.shape[0])
-    pool.run(_block_weights, weights.shape[0], radiance, area, threshold, block_max, weights)
+    blocks = direct_blocks(block_max, threshold)
+    weights = np.zeros(blocks.size)
+    pool.run(
+        _block_weights,
+        blocks.size,
+        blocks,
+        radiance,
+        area,
+        threshold,
+        weights,
+        num_chunks=num_chunks_for(blocks.size),
+    )
     cumulative = np.cumsum(weights)
-    total = float(cumulative[-1])
+    total = float(cumulative[-1]) if cumulative.size else 0.0
     if not total > 0.0:
         return np.zeros(0, dtype=np.int64), 0.0
     positions = pattern * total
-    blocks = np.searchsorted(cumulative, positions, side="right")
+    owner = np.searchsorted(cumulative, positions, side="right")
     # A position rounded up to the total belongs to the last block that has weight.
-    blocks = np.minimum(blocks, np.flatnonzero(weights)[-1])
+    owner = np.minimum(owner, np.flatnonzero(weights)[-1])
     samples = np.empty(pattern.shape[0], dtype=np.int64)
-    _pick(radiance, area, threshold, cumulative - weights, positions, blocks, samples)
+    _pick(radiance, area, threshold, blocks, cumulative - weights, positions, owner, samples)
     return samples, total

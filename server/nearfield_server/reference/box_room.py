@@ -7,13 +7,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nearfield_calibration import fisheye
 from nearfield_calibration.models import FisheyeIntrinsics
+from nearfield_server.geometry.morton import morton_code
 from nearfield_server.radiometry.cube import cube_directions
 from nearfield_server.records import CameraModel, GatherTable, RoomMesh, TexelGeometry
 
@@ -32,7 +33,7 @@ class BoxRoom:
         size: (3,) metres.
         atlas_size: rows and columns of the atlas.
         resolution: (columns, rows) of each face's chart.
-        texels: in face order, row by row.
+        texels: in Morton order, as those of every room.
         cameras: fish-eyes in the upper corners.
         table: gather table.
     """
@@ -70,7 +71,8 @@ class BoxRoom:
         pick = np.arange(points.shape[0])
         column = np.clip((relative[pick, table[face, 2]] * columns).astype(np.int64), 0, columns - 1)
         row = np.clip((relative[pick, table[face, 3]] * rows).astype(np.int64), 0, rows - 1)
-        return np.asarray((face * rows + row) * columns + column, dtype=np.int32)
+        left, top = _chart_corner(face, self.atlas_size)
+        return np.asarray(self.texels.lookup[top + row, left + column], dtype=np.int32)
 
     def trace(self, centre_world: NDArray[np.float64], resolution: int = 32) -> NDArray[np.int32]:
         """Texel behind each pixel of a cube, as `geometry.probes.ProbeRays.trace`."""
@@ -172,13 +174,11 @@ def lamp_field(
 
 
 def _texels(size: NDArray[np.float64], atlas_size: int, columns: int, rows: int) -> TexelGeometry:
-    lookup = np.full((atlas_size, atlas_size), -1, dtype=np.int32)
     position, normal, area, index = [], [], [], []
     u = (np.arange(columns) + 0.5) / columns
     v = (np.arange(rows) + 0.5) / rows
     for face, (axis, side, column_axis, row_axis) in enumerate(_FACES):
-        left = (face % 3) * (atlas_size // 3) + _GUTTER
-        top = (face // 3) * (atlas_size // 2) + _GUTTER
+        left, top = _chart_corner(face, atlas_size)
         points = np.empty((rows, columns, 3))
         points[..., axis] = side * size[axis]
         points[..., column_axis] = u[None, :] * size[column_axis]
@@ -188,24 +188,33 @@ def _texels(size: NDArray[np.float64], atlas_size: int, columns: int, rows: int)
         chart = (np.arange(top, top + rows)[:, None] * atlas_size + np.arange(left, left + columns)).reshape(
             -1
         )
-        lookup.reshape(-1)[chart] = face * rows * columns + np.arange(rows * columns)
         position.append(points.reshape(-1, 3))
         normal.append(np.broadcast_to(inward, (rows * columns, 3)))
         area.append(np.full(rows * columns, size[column_axis] * size[row_axis] / (rows * columns)))
         index.append(chart)
+    texel_index = np.concatenate(index)
+    order = np.argsort(morton_code(*np.divmod(texel_index, atlas_size)), kind="stable")
+    texel_index = texel_index[order].astype(np.int32)
+    lookup = np.full(atlas_size * atlas_size, -1, dtype=np.int32)
+    lookup[texel_index] = np.arange(texel_index.size, dtype=np.int32)
     none = np.zeros(0, dtype=np.int32)
     return TexelGeometry(
         height=atlas_size,
         width=atlas_size,
-        texel_index=np.concatenate(index).astype(np.int32),
-        position=np.concatenate(position).astype(np.float32),
-        normal=np.concatenate(normal).astype(np.float32),
-        area=np.concatenate(area).astype(np.float32),
-        face=(np.repeat(np.arange(6), rows * columns) * 2).astype(np.int32),
-        lookup=lookup,
+        texel_index=texel_index,
+        position=np.concatenate(position)[order].astype(np.float32),
+        normal=np.concatenate(normal)[order].astype(np.float32),
+        area=np.concatenate(area)[order].astype(np.float32),
+        face=(np.repeat(np.arange(6), rows * columns) * 2)[order].astype(np.int32),
+        lookup=lookup.reshape(atlas_size, atlas_size),
         gutter_texel=none,
         gutter_source=none,
     )
+
+
+def _chart_corner(face: Any, atlas_size: int) -> tuple[Any, Any]:
+    """Column and row of the first texel of a face's chart; an array of faces gives arrays."""
+    return face % 3 * (atlas_size // 3) + _GUTTER, face // 3 * (atlas_size // 2) + _GUTTER
 
 
 def _camera(size: NDArray[np.float64], index: int, resolution: int) -> CameraModel:
@@ -266,8 +275,7 @@ def _box_mesh(room: BoxRoom, albedo: float) -> RoomMesh:
     positions, normals, uv, faces = [], [], [], []
     columns, rows = room.resolution
     for face, (axis, side, column_axis, row_axis) in enumerate(_FACES):
-        left = (face % 3) * (room.atlas_size // 3) + _GUTTER
-        top = (face // 3) * (room.atlas_size // 2) + _GUTTER
+        left, top = _chart_corner(face, room.atlas_size)
         inward = np.zeros(3)
         inward[axis] = 1.0 - 2.0 * side
         corners = np.zeros((4, 3))

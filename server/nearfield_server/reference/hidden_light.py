@@ -15,6 +15,7 @@ from nearfield_server.pipeline.hidden_light import (
     MIN_RECEIVERS,
     HiddenLight,
 )
+from nearfield_server.radiometry.half import HALF_MAX
 
 
 def estimate_hidden_radiance_reference(
@@ -38,7 +39,7 @@ def estimate_hidden_radiance_reference(
             if surface not in closed and (found := _believed(hidden, surface, arriving, missing)) is not None
         }
         if not candidates:
-            return result
+            return np.minimum(result, HALF_MAX)
         best = max(candidates, key=lambda surface: float(candidates[surface].sum()))
         result[best] = candidates[best]
         closed.add(best)

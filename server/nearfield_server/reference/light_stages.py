@@ -8,11 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nearfield_server.pipeline.auto_split import AutoSplit
-from nearfield_server.pipeline.backend import BackendSetup
+from nearfield_server.pipeline.backend import BackendSetup, Gathered, Tiles
 from nearfield_server.pipeline.blocks import NORMAL_SCALE
 from nearfield_server.pipeline.integration import ValSums
+from nearfield_server.pipeline.levels import energy_scale, level_energy
+from nearfield_server.pipeline.packed_table import PackedTable
 from nearfield_server.pipeline.sampling import stratified_pattern
-from nearfield_server.pipeline.split import COARSE_BINS, fixed_point_scale
+from nearfield_server.pipeline.split import fixed_point_scale
 from nearfield_server.radiometry.cube import cube_directions, cube_solid_angles
 from nearfield_server.radiometry.sh import project_samples
 from nearfield_server.records import GatherTable
@@ -32,11 +34,7 @@ def gather_reference(table: GatherTable, frames: Sequence[NDArray[np.float16] | 
         if pixels is None:
             continue
         height, width = table.camera_shapes[camera]
-        picture = np.nan_to_num(pixels.astype(np.float64), nan=0.0, posinf=65504.0, neginf=0.0).clip(
-            0.0, 65504.0
-        )
-        picture[..., :3] *= picture[..., 3:]
-        picture[..., 3] *= picture[..., 3]
+        picture = _clean(pixels)
         pairs = np.flatnonzero(table.camera == camera)
         row, column = np.divmod(table.pixel[pairs].astype(np.int64), width)
         fraction_x, fraction_y = (
@@ -50,10 +48,37 @@ def gather_reference(table: GatherTable, frames: Sequence[NDArray[np.float16] | 
                 for component in range(4):
                     weighted = tap[:, component] * weight
                     total[:, component] += np.bincount(texel_of_pair[pairs], weighted, num_texels)
-    valid = total[:, 3] > 0.0
-    return np.asarray(
-        np.where(valid[:, None], total[:, :3] / np.where(valid, total[:, 3], 1.0)[:, None], 0.0)
-    )
+    return _blend(total)
+
+
+def packed_gather_reference(
+    table: PackedTable, frames: Sequence[NDArray[np.float16] | None]
+) -> NDArray[np.float64]:
+    """(N, 3) radiance per texel from the rounded weights of the packed table; otherwise as `gather_reference`."""
+    texel = np.repeat(np.arange(table.num_texels), np.diff(table.pair_start))
+    total = np.zeros((table.num_texels, 4))
+    for camera, pixels in enumerate(frames):
+        if pixels is None:
+            continue
+        picture = _clean(pixels).reshape(-1, 4)
+        pairs = np.flatnonzero(table.camera == camera)
+        width = table.camera_shapes[camera][1]
+        for tap, offset in enumerate((0, 1, width, width + 1)):
+            values = picture[table.pixel[pairs].astype(np.int64) + offset]
+            np.add.at(total, texel[pairs], values * table.taps[pairs, tap].astype(np.float64)[:, None])
+    return _blend(total)
+
+
+def _clean(pixels: NDArray[np.float16]) -> NDArray[np.float64]:
+    """Float64 pixels without NaN, infinity and negative values, everything multiplied by validity."""
+    picture = np.nan_to_num(pixels.astype(np.float64), nan=0.0, posinf=65504.0, neginf=0.0).clip(0.0, 65504.0)
+    return np.asarray(picture * picture[..., 3:])
+
+
+def _blend(total: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(N, 3) colour sums divided by the valid weight, 0 where there is none."""
+    valid = total[:, 3:] > 0.0
+    return np.asarray(np.where(valid, total[:, :3] / np.where(valid, total[:, 3:], 1.0), 0.0))
 
 
 def ratio_threshold_reference(
@@ -132,14 +157,15 @@ class ReferenceBackend:
         self._threshold = np.full(3, np.inf, dtype=np.float32)
         self._auto_split = AutoSplit()
 
-    def gather(self, frames: Sequence[NDArray[np.float16] | None]) -> None:
-        """See `StageBackend`."""
+    def gather(self, frames: Sequence[NDArray[np.float16] | None], tiles: Tiles | None = None) -> Gathered:
+        """See `StageBackend`. Everything anew, whatever `tiles` says."""
         self._radiance = gather_reference(self._setup.table, frames)
         self._radiance[self._setup.fill_texels] = self._radiance[self._setup.fill_sources]
         hidden = self._setup.hidden
         if hidden is not None:
             values = estimate_hidden_radiance_reference(hidden, self._radiance)
             self._radiance[hidden.texels] = values[hidden.group]
+        return Gathered()
 
     def split(self) -> NDArray[np.float32]:
         """See `StageBackend`."""
@@ -150,15 +176,15 @@ class ReferenceBackend:
         if ratio is not None:
             self._threshold = ratio_threshold_reference(radiance, area, ratio).astype(np.float32)
         else:
+            scale = energy_scale(area)
+            energy = level_energy(radiance, area, scale)
             total_area = float(area.sum(dtype=np.float64))
-            scale = fixed_point_scale(float(radiance.max(initial=0.0)), total_area)
-            energy = np.rint(self._radiance * area.astype(np.float64)[:, None] * scale).astype(np.int64)
-            histogram = np.zeros((3, COARSE_BINS), dtype=np.int64)
-            for channel in range(3):
-                bins = np.ascontiguousarray(radiance[:, channel]).view(np.uint32) >> np.uint32(16)
-                np.add.at(histogram[channel], bins, energy[:, channel])
-            self._threshold = self._auto_split.choose(histogram, scale, total_area)
+            self._threshold = self._auto_split.choose(energy, scale, total_area)
         return self._threshold
+
+    def direct_changed(self) -> bool:
+        """See `StageBackend`. Always taken for granted."""
+        return True
 
     def sample(self) -> NDArray[np.float64]:
         """See `StageBackend`."""

@@ -10,7 +10,7 @@ from nearfield_server.records import LightSettings
 
 
 def test_report_holds_every_stage_and_ratio() -> None:
-    report = measure(box_scenario(48), LightSettings(num_samples=256), "cpu", 2)
+    report = measure(box_scenario(96), LightSettings(num_samples=256), "cpu", 2)
     assert tuple(report["stages"]) == STAGES
     for row in report["stages"].values():
         assert row["cpu_ms"] >= 0.0

@@ -13,9 +13,10 @@ from nearfield_server.errors import GraphicsError
 from nearfield_server.gpu.light_stages import GlBackend, create_light_backend
 from nearfield_server.pipeline.backend import BackendSetup, CpuBackend
 from nearfield_server.pipeline.hidden_light import find_hidden_light
+from nearfield_server.pipeline.packed_table import pack_gather_table, repeat_pairs
 from nearfield_server.records import GatherTable, LightSettings, RoomMesh, TexelGeometry
 from nearfield_server.reference.box_room import BoxRoom, make_box_room
-from nearfield_server.reference.light_stages import ReferenceBackend
+from nearfield_server.reference.light_stages import ReferenceBackend, packed_gather_reference
 from nearfield_server.reference.radiosity import equilibrium_radiance, transport_matrix
 
 pytestmark = pytest.mark.gl
@@ -42,7 +43,7 @@ def make_setup(seed: int, split_ratio: float | None) -> BackendSetup:
     )
     count = rng.integers(0, 3, NUM_TEXELS)
     start = np.concatenate([[0], np.cumsum(count)]).astype(np.int64)
-    # Values that the packed table holds exactly, so that the oracle reads the same weights.
+    # Powers of two, which the packed table holds exactly, so that the oracle reads the same weights.
     camera = rng.integers(0, len(SHAPES), start[-1]).astype(np.uint8)
     height, width = np.array(SHAPES)[camera].T
     pixel = rng.integers(0, height - 1) * width + rng.integers(0, width - 1)
@@ -50,9 +51,9 @@ def make_setup(seed: int, split_ratio: float | None) -> BackendSetup:
         pair_start=start,
         camera=camera,
         pixel=pixel.astype(np.uint32),
-        fraction_x=(rng.integers(0, 256, start[-1]) / 255.0).astype(np.float32),
-        fraction_y=(rng.integers(0, 256, start[-1]) / 255.0).astype(np.float32),
-        weight=(rng.integers(9000, 65536, start[-1]) / 65535.0).astype(np.float32),
+        fraction_x=rng.choice(np.float32([0.0, 0.5, 1.0]), start[-1]),
+        fraction_y=rng.choice(np.float32([0.0, 0.5, 1.0]), start[-1]),
+        weight=rng.choice(np.float32([0.25, 0.5, 1.0]), start[-1]),
         camera_shapes=SHAPES,
     )
     unseen, seen = np.flatnonzero(count == 0), np.flatnonzero(count > 0)
@@ -182,6 +183,26 @@ def test_black_pictures_have_no_direct_light(
     gl.gather([np.zeros((*shape, 4), dtype=np.float16) for shape in SHAPES])
     assert np.all(np.isinf(gl.split()))
     assert gl.sample().shape == (0, 6)
+
+
+def test_any_weights_are_read_as_they_are_packed() -> None:
+    setup = make_setup(8, None)
+    rng = np.random.default_rng(8)
+    count = setup.table.pixel.size
+    table = replace(
+        setup.table,
+        fraction_x=rng.random(count, dtype=np.float32),
+        fraction_y=rng.random(count, dtype=np.float32),
+        weight=rng.uniform(0.01, 1.0, count).astype(np.float32),
+    )
+    gl = create_light_backend(replace(setup, table=table), allow_software=True)
+    frames = make_frames(8)
+    gl.gather(frames)
+    radiance = gl.texel_radiance()
+    gl.release()
+    filled = repeat_pairs(table, setup.fill_texels, setup.fill_sources)
+    expected = packed_gather_reference(pack_gather_table(filled), frames)
+    np.testing.assert_allclose(radiance, expected, rtol=3e-6, atol=1e-7)
 
 
 def test_a_missing_camera_is_left_out(backends: tuple[GlBackend, CpuBackend, ReferenceBackend]) -> None:

@@ -3,14 +3,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from nearfield_server.pipeline.gather import block_maxima
 from nearfield_server.pipeline.hidden_light import (
     HiddenLight,
     estimate_hidden_radiance,
     explain_receivers,
     find_hidden_light,
     texels_without_source,
-    write_hidden_radiance,
 )
 from nearfield_server.pipeline.runner import LightPipeline
 from nearfield_server.records import CameraFrame, LightSettings, RoomMesh, UnseenFill
@@ -209,17 +207,6 @@ def test_nothing_hidden_gives_nothing(small_room: BoxRoom) -> None:
 def test_black_receivers_are_of_no_use(small_room: BoxRoom) -> None:
     hidden = _lamp(small_room, 1.5, 2.0)
     assert find_hidden_light(small_room.mesh(0.01), small_room.texels, hidden, small_room) is None
-
-
-def test_written_radiance_reaches_texels_and_block_maxima(small_room: BoxRoom) -> None:
-    hidden = _lamp(small_room, 1.5, 2.0)
-    found = _find(small_room, hidden)
-    radiance = np.full((hidden.size, 3), 0.5, dtype=np.float32)
-    maxima = block_maxima(radiance)
-    write_hidden_radiance(found.texels, found.group, np.array([[1.0, 2.0, 3.0]]), radiance, maxima)
-    np.testing.assert_array_equal(radiance[hidden], np.tile(np.float32([1, 2, 3]), (hidden.sum(), 1)))
-    assert (radiance[~hidden] == 0.5).all()
-    np.testing.assert_array_equal(maxima, block_maxima(radiance))
 
 
 def test_the_pipeline_makes_a_light_of_it(small_room: BoxRoom, transport: np.ndarray) -> None:

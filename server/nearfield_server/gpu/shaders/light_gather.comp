@@ -2,7 +2,7 @@
 // Radiance per texel from all cameras through the packed gather table. One work group = one block of 64 texels.
 layout(local_size_x = 64) in;
 
-layout(std430, binding = 0) readonly buffer Pairs { uvec2 pairs[]; };          // x: fractions and weight, y: camera and pixel
+layout(std430, binding = 0) readonly buffer Pairs { uint pairs[]; };           // 3 per pair: camera and pixel, upper taps, lower taps
 layout(std430, binding = 1) readonly buffer PairStart { uint pairStart[]; };   // N + 1
 layout(std430, binding = 2) readonly buffer Pixels { uvec2 pixels[]; };        // RGBA half, all cameras one after the other
 layout(std430, binding = 3) writeonly buffer Radiance { float radiance[]; };   // 3 N
@@ -27,18 +27,15 @@ void main() {
     if (texel >= uNumTexels) return;
     vec4 total = vec4(0.0);
     for (uint k = pairStart[texel]; k < pairStart[texel + 1u]; ++k) {
-        uvec2 pair = pairs[k];
-        uint camera = pair.y >> 28;
+        uint place = pairs[3u * k];
+        uint camera = place >> 28;
         uint width = uCameraWidth[camera];
         if (width == 0u) continue;
-        uint first = uCameraFirst[camera] + (pair.y & 0x0FFFFFFFu);
-        float x = float(pair.x >> 24) / 255.0;
-        float y = float((pair.x >> 16) & 255u) / 255.0;
-        float weight = float(pair.x & 0xFFFFu);
-        // (1 - f) a + f b, not a + f (b - a): a fraction of exactly 1 must leave nothing of a bright neighbour.
-        vec4 upper = (1.0 - x) * loadPixel(first) + x * loadPixel(first + 1u);
-        vec4 lower = (1.0 - x) * loadPixel(first + width) + x * loadPixel(first + width + 1u);
-        total += weight * ((1.0 - y) * upper + y * lower);
+        uint first = uCameraFirst[camera] + (place & 0x0FFFFFFFu);
+        uint upper = pairs[3u * k + 1u];
+        uint lower = pairs[3u * k + 2u];
+        total += float(upper & 0xFFFFu) * loadPixel(first) + float(upper >> 16) * loadPixel(first + 1u);
+        total += float(lower & 0xFFFFu) * loadPixel(first + width) + float(lower >> 16) * loadPixel(first + width + 1u);
     }
     vec3 value = total.a > 0.0 ? total.rgb / total.a : vec3(0.0);
     radiance[3u * texel] = value.r;
