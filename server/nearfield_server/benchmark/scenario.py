@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from nearfield_server.pipeline.hidden_light import HiddenLight
 from nearfield_server.pipeline.probes import ProbeTracer
 from nearfield_server.records import (
+    FRAME_TILE,
     CameraFrame,
     GatherTable,
     ObjectPose,
@@ -41,17 +42,57 @@ class Scenario:
 
 
 def noisy_frames(scenario: Scenario, seed: int) -> tuple[CameraFrame, ...]:
-    """The pictures with one per cent of noise, so that every stage has real work."""
+    """The pictures with one per cent of noise, so that every stage has real work; every tile differs from that of another seed."""
     rng = np.random.default_rng(seed)
     frames = []
     for index, picture in enumerate(scenario.pictures):
         pixels = picture.copy()
         gain = rng.normal(1.0, _NOISE, (*pixels.shape[:2], 1)).astype(np.float32)
         pixels[..., :3] = np.clip(pixels[..., :3].astype(np.float32) * gain, 0.0, 65504.0)
+        tiles = tuple(-(-edge // FRAME_TILE) for edge in pixels.shape[:2])
         frames.append(
-            CameraFrame(camera_index=index, sequence=0, content_revision=0, timestamp_ns=0, pixels=pixels)
+            CameraFrame(
+                camera_index=index,
+                sequence=0,
+                content_revision=0,
+                timestamp_ns=0,
+                pixels=pixels,
+                tile_revisions=np.full(tiles, 2 * seed, dtype=np.int64),
+            )
         )
     return tuple(frames)
+
+
+def with_changed_tiles(
+    frames: tuple[CameraFrame, ...], other: tuple[CameraFrame, ...], share: float, seed: int
+) -> tuple[tuple[CameraFrame, ...], float]:
+    """Pictures in which a few tiles, anywhere, show other pictures of the same cameras.
+
+    Args:
+        frames: with tile revisions.
+        other: where the changed tiles come from.
+        share: of the tiles of every camera; at least one changes.
+        seed: of the choice of tiles.
+
+    Returns:
+        The pictures, with new tile revisions where they changed, and the share of the tiles that did.
+    """
+    rng = np.random.default_rng(seed)
+    result, changed, total = [], 0, 0
+    for frame, source in zip(frames, other, strict=True):
+        assert frame.tile_revisions is not None
+        pixels, revisions = frame.pixels.copy(), frame.tile_revisions.copy()
+        count = max(1, round(share * revisions.size))
+        for tile in rng.choice(revisions.size, count, replace=False):
+            row, column = divmod(int(tile), revisions.shape[1])
+            area = np.s_[
+                row * FRAME_TILE : (row + 1) * FRAME_TILE, column * FRAME_TILE : (column + 1) * FRAME_TILE
+            ]
+            pixels[area] = source.pixels[area]
+            revisions[row, column] += 1
+        changed, total = changed + count, total + revisions.size
+        result.append(replace(frame, pixels=pixels, tile_revisions=revisions))
+    return tuple(result), changed / total
 
 
 def _objects(

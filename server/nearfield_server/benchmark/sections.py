@@ -22,14 +22,7 @@ def server_section(setup: BenchSetup) -> dict[str, Any]:
     scenario = box_scenario(_TINY_SIZE if setup.tiny else _SERVER_SIZE)
     settings = LightSettings(num_vals=16, num_samples=256 if setup.tiny else LightSettings().num_samples)
     rounds = 2 if setup.tiny else _QUICK_ROUNDS if setup.quick else _ROUNDS
-    report = measure(scenario, settings, setup.backend, rounds)
-    ratios = {
-        "update_over_copy": report["update"]["copies"],
-        "numpy_over_update": report["update"]["times_faster_than_numpy"],
-        "unchanged_over_full": report["unchanged_share_of_update"],
-        "stage_cpu_ms": {name: row["cpu_ms"] for name, row in report["stages"].items() if row},
-    }
-    return ratios | report
+    return measure(scenario, settings, setup.backend, rounds)
 
 
 def client_section(setup: BenchSetup) -> dict[str, Any]:
