@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from itertools import compress
 from pathlib import Path
 from typing import Final
 
@@ -28,7 +30,11 @@ _NOISE: Final = 0.01
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scenario:
-    """What is measured: a room, its probes and pictures of all its cameras."""
+    """What is measured: a room, its probes and pictures of all its cameras.
+
+    Attributes:
+        num_lamps: lamps that can be switched. without_lamp: pictures with one of them off, the others at nominal weight.
+    """
 
     name: str
     mesh: RoomMesh
@@ -39,6 +45,8 @@ class Scenario:
     objects: tuple[ObjectPose, ...]
     unseen_fill: UnseenFill | None = None
     hidden_light: HiddenLight | None = None
+    num_lamps: int = 0
+    without_lamp: Callable[[int], tuple[NDArray[np.float16], ...]] | None = None
 
 
 def noisy_frames(scenario: Scenario, seed: int) -> tuple[CameraFrame, ...]:
@@ -130,15 +138,23 @@ def box_scenario(
     room = make_box_room(atlas_size=size, camera_size=camera_size or size, num_cameras=num_cameras)
     lamp = (3, (0.5, 0.5), (0.1, 0.1), (40.0, 38.0, 30.0))
     window = (0, (0.5, 0.6), (0.1, 0.2), (10.0, 12.0, 15.0))
-    field = lamp_field(room, (lamp, window))
+    lamps = (lamp, window)
+
+    def pictures(on: tuple[bool, ...]) -> tuple[NDArray[np.float16], ...]:
+        # Half of the walls' light comes from the lamps.
+        field = lamp_field(room, tuple(compress(lamps, on)), ambient=0.5 + 0.5 * sum(on) / len(on))
+        return tuple(room.picture(index, field) for index in range(len(room.cameras)))
+
     return Scenario(
         name="box room",
         mesh=room.mesh(),
         texels=room.texels,
         table=room.table,
         probes=room,
-        pictures=tuple(room.picture(index, field) for index in range(len(room.cameras))),
+        pictures=pictures((True, True)),
         objects=_objects(np.zeros(3), room.size, num_objects),
+        num_lamps=len(lamps),
+        without_lamp=lambda lamp: pictures(tuple(index != lamp for index in range(len(lamps)))),
     )
 
 
@@ -158,15 +174,21 @@ def bundle_scenario(folder: Path) -> Scenario:
     bundle = load_bundle(folder)
     room = room_from_bundle(bundle)
     mesh, texels, table, fill, hidden = load_or_build(room)
-    frames, _ = camera_frames(bundle, np.ones(len(room.lights)))
+    num_lamps = len(room.lights)
+
+    def pictures(weights: NDArray[np.float64]) -> tuple[NDArray[np.float16], ...]:
+        return tuple(frame.pixels for frame in camera_frames(bundle, weights)[0])
+
     return Scenario(
         name=room.name,
         mesh=mesh,
         texels=texels,
         table=table,
         probes=ProbeRays(mesh, texels),
-        pictures=tuple(frame.pixels for frame in frames),
+        pictures=pictures(np.ones(num_lamps)),
         objects=_objects(mesh.positions.min(axis=0), mesh.positions.max(axis=0)),
         unseen_fill=fill,
         hidden_light=hidden,
+        num_lamps=num_lamps,
+        without_lamp=lambda lamp: pictures(1.0 - np.eye(num_lamps)[lamp]),
     )
