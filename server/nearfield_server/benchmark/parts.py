@@ -64,6 +64,9 @@ PARTS: Final[dict[str, PartEntry]] = {
     "growth": PartEntry(
         "nearfield_server.benchmark.sections", "growth_section", "cost against the size of everything"
     ),
+    "temporal": PartEntry(
+        "nearfield_server.benchmark.sections", "temporal_section", "how steady the light is in time"
+    ),
     "latency": PartEntry(
         "nearfield_server.benchmark.sections",
         "latency_section",

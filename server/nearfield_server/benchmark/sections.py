@@ -5,14 +5,16 @@ from __future__ import annotations
 from typing import Any, Final
 
 from nearfield_server.benchmark.parts import BenchSetup
-from nearfield_server.benchmark.scenario import box_scenario
+from nearfield_server.benchmark.scenario import box_scenario, bundle_scenario
 from nearfield_server.benchmark.server_growth import measure_server_growth
 from nearfield_server.benchmark.server_times import measure
+from nearfield_server.benchmark.temporal import measure_temporal
 from nearfield_server.errors import ServiceError
 from nearfield_server.records import LightSettings
 
 _SERVER_SIZE: Final = 1024
 _TINY_SIZE: Final = 48
+_TEMPORAL_SIZE: Final = 256
 _ROUNDS: Final = 15
 _QUICK_ROUNDS: Final = 5
 
@@ -45,6 +47,15 @@ def growth_section(setup: BenchSetup) -> dict[str, Any]:
         return server | measure_client_growth(setup.quick, setup.say, tiny=setup.tiny)
     except ServiceError as error:
         return server | {"missing": str(error)}
+
+
+def temporal_section(setup: BenchSetup) -> dict[str, Any]:
+    """Noise, switched and dimmed lamps in the box room; in full runs in the bundles' rooms as well."""
+    size = _TINY_SIZE if setup.tiny else _TEMPORAL_SIZE
+    rooms = [measure_temporal(box_scenario(size), setup.quick)]
+    if not setup.quick:
+        rooms += [measure_temporal(bundle_scenario(bundle), quick=False) for bundle in setup.bundles]
+    return {"rooms": rooms}
 
 
 def latency_section(setup: BenchSetup) -> dict[str, Any]:
