@@ -23,6 +23,7 @@ const MAKERS: Readonly<Record<string, (setting: Setting) => Variant | Promise<Va
 }
 
 let scene: BenchScene | null = null
+/** With the number of the next frame. */
 const variants = new Map<string, { readonly variant: Variant; frame: number }>()
 
 function find(name: string): { readonly variant: Variant; frame: number } {
@@ -30,6 +31,8 @@ function find(name: string): { readonly variant: Variant; frame: number } {
   if (!entry) throw new Error(`There is no variant ${name}; create it first.`)
   return entry
 }
+
+const MOVING_ALL: readonly FrameKind[] = ['full', 'same maps']
 
 /** A started variant must not leave shadow maps of former frames to a frame that is timed. */
 function settle(variant: Variant): void {
@@ -43,7 +46,7 @@ const bench = {
   },
 
   /**
-   * Makes a variant and draws its first frame, for which shaders are compiled.
+   * Makes a variant; its first frame, for which shaders are compiled, is drawn by `prepare` or `picture`.
    *
    * @param packet base64 of a light packet.
    * @param growth changes to the scene.
@@ -61,17 +64,17 @@ const bench = {
     if (!scene || !make) throw new Error(scene ? `No renderer ${maker}.` : 'Load the scene first.')
     const grown = grow(scene, readLight(packet), growth)
     const variant = await make({ ...grown, exposure, drawing })
-    variants.set(name, { variant, frame: 1 })
-    variant.draw(0, 'full')
-    finishFrame(variant.gl)
+    variants.set(name, { variant, frame: 0 })
     return { vals: grown.light.count, triangles: trianglesOf(grown.scene) }
   },
 
-  /** Brings a variant to rest; what follows is timed. */
-  settle(name: string): void {
-    const { variant } = find(name)
-    settle(variant)
-    finishFrame(variant.gl)
+  /** Brings a variant to where frames of this kind start from; what follows is timed. */
+  prepare(name: string, kind: FrameKind): void {
+    const entry = find(name)
+    if (entry.frame === 0) entry.variant.draw(entry.frame++, 'full')
+    // Where everything moves, nothing that a former frame left over matters.
+    if (!MOVING_ALL.includes(kind)) settle(entry.variant)
+    finishFrame(entry.variant.gl)
   },
 
   /** Draws frames and waits for each. Times in ms: of the whole, and of the page's own part without waiting. */
@@ -97,7 +100,7 @@ const bench = {
   /** PNG of one frame, as a data URL. */
   picture(name: string): string {
     const entry = find(name)
-    entry.variant.draw(0, 'full')
+    entry.variant.draw(entry.frame++, 'full')
     settle(entry.variant)
     const copy = document.createElement('canvas')
     copy.width = entry.variant.canvas.width

@@ -33,8 +33,6 @@ _ARGUMENTS: Final = (
     "--disable-component-update",
     "--disable-sync",
 )
-# Frames in which nothing of the former ones is kept: what was left over then does not matter.
-_MOVING_ALL: Final = ("full", "same maps")
 # Compiling sixteen shadowed lights in software takes seconds on an idle machine and minutes on a busy one.
 _TIMEOUT_MS: Final = 300_000
 
@@ -68,7 +66,7 @@ class BenchPage:
         lights: bool = True,
         growth: Mapping[str, int] | None = None,
     ) -> dict[str, int]:
-        """Make a variant and compile what it needs.
+        """Make a variant; what it needs is compiled when it first draws.
 
         Args:
             name: of the variant from now on.
@@ -88,8 +86,7 @@ class BenchPage:
 
     def measure(self, name: str, kind: str, frames: int) -> FrameCost:
         """Draw `frames` frames and wait for each; the mean cost of one."""
-        if kind not in _MOVING_ALL:
-            self._call("settle", name)
+        self._call("prepare", name, kind)
         gpu, page = _cpu_ms(self._gpu_processes), _cpu_ms(self._page_processes)
         wall = self._call("run", name, kind, frames)["wallMs"]
         return FrameCost(

@@ -155,7 +155,7 @@ def _create(
     vals: dict[str, int] = {}
     for variant in variants.values():
         if variant.key not in vals:
-            progress(f"compiling {variant.key}")
+            progress(f"client renderer {variant.key}")
             packet = scene.packets[variant.slots]
             drawn = page.create(variant.key, variant.maker, packet, scene.exposure)
             vals[variant.key] = drawn["vals"]
