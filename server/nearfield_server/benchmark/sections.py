@@ -60,4 +60,7 @@ def temporal_section(setup: BenchSetup) -> dict[str, Any]:
 
 def latency_section(setup: BenchSetup) -> dict[str, Any]:
     """From a captured frame to the packet sent, and to the pixel."""
-    raise ServiceError("latency is not measured by this build")
+    # Brings websockets and the browser's libraries.
+    from nearfield_server.benchmark.latency import measure_latency
+
+    return measure_latency(setup.quick or setup.tiny, setup.say)

@@ -131,7 +131,6 @@ def capture_loop(
     is_open = False
     retry_at, healthy_since = 0.0, 0.0
     period_s = 1.0 / frame_rate
-    next_s = time.monotonic()
     fault = ""
     while not worker.stop.is_set():
         now_s = time.monotonic()
@@ -158,9 +157,9 @@ def capture_loop(
             retry_at = time.monotonic() + delay_s
             worker.log.warning("camera failed", reason=fault, retry_in_s=round(delay_s, 1))
         worker.beat(**_status(pump, describe, is_open, fault))
-        # A late camera skips periods; it never hurries after them.
-        next_s = max(next_s + period_s, time.monotonic())
-        worker.stop.wait(max(0.0, next_s - time.monotonic()))
+        # All cameras of a machine keep to one grid of its clock, as if triggered together: light that changes is seen by all of
+        # them in the same period. A late camera skips periods; it never hurries after them.
+        worker.stop.wait(period_s - time.monotonic() % period_s)
     pump.source.close()
 
 

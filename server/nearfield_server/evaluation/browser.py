@@ -19,13 +19,14 @@ BROWSER_NAMES = ("chromium", "chromium-browser", "google-chrome-stable", "google
 BROWSER_VARIABLE = "NEARFIELD_CHROMIUM"
 # The software rasteriser of Chromium itself: the same pictures on every machine, with or without a GPU.
 _SWIFTSHADER = ("--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
-_ARGUMENTS = (
+QUIET_ARGUMENTS = (
     "--disable-quic",
     "--no-first-run",
     "--disable-background-networking",
     "--disable-component-update",
     "--disable-sync",
 )
+"""A browser that talks to nobody but the page's server."""
 # Compiling shaders in software takes seconds on an idle machine and minutes on a busy one.
 _TIMEOUT_MS = 300_000
 
@@ -139,7 +140,7 @@ def open_client(url: str, rasteriser: Sequence[str] = _SWIFTSHADER) -> Iterator[
         raise ServiceError(
             "rendering views needs playwright; install nearfield[evaluate], or evaluate with --no-views"
         ) from error
-    arguments = [*_ARGUMENTS, *rasteriser, *(["--no-sandbox"] if os.geteuid() == 0 else [])]
+    arguments = [*QUIET_ARGUMENTS, *rasteriser, *(["--no-sandbox"] if os.geteuid() == 0 else [])]
     said: list[str] = []
     with sync_playwright() as playwright:
         try:

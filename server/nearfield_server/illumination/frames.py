@@ -14,6 +14,7 @@ from nearfield_server.records import CameraFrame
 
 STALE_AFTER_S = 1.0
 _COPY_ROUNDS = 100
+_GONE_AFTER_PERIODS = 4.0
 # Above every revision that a ring hands out (writer generation << 40): marks pictures that must not be taken for their originals.
 _RETRY_REVISION = 1 << 62
 
@@ -35,6 +36,12 @@ class FrameCollector:
     _views: list[FrameView | None] = field(default_factory=list)
     _copy_rounds: int = 0
     _retries: itertools.count[int] = field(default_factory=lambda: itertools.count(_RETRY_REVISION))
+
+    def is_complete(self, period_s: float) -> bool:
+        """Whether every camera that still delivers has done so in the period of the newest picture."""
+        confirmed = [reader.confirmed_ns for reader in self.readers]
+        ages_s = [(max(confirmed) - each) * 1e-9 for each in confirmed]
+        return all(age < 0.5 * period_s or age > _GONE_AFTER_PERIODS * period_s for age in ages_s)
 
     def collect(self) -> list[CameraFrame | None]:
         """Return the newest frame per camera, or None where a camera has not delivered any yet."""

@@ -33,6 +33,8 @@ from nearfield_server.scene.room_config import RoomConfig, load_room
 REPEAT_PERIOD_S = 1.0
 ATLAS_PERIOD_S = 0.1
 _WAIT_S = 0.1
+_STRAGGLERS_S = 0.02
+_STRAGGLERS_STEP_S = 0.002
 
 
 @dataclass(frozen=True, slots=True)
@@ -182,6 +184,14 @@ def build_pipeline(
     return pipeline, mesh, texels
 
 
+def wait_for_all(collector: FrameCollector, signal: FrameSignal, period_s: float) -> None:
+    """Wait a little for the cameras that are a moment later than the first: one update with all of them instead of two."""
+    end_s = time.monotonic() + min(_STRAGGLERS_S, 0.5 * period_s)
+    while not collector.is_complete(period_s) and time.monotonic() < end_s:
+        # A camera that only confirms its picture rings no bell.
+        signal.wait(_STRAGGLERS_STEP_S)
+
+
 def main(worker: Worker) -> None:
     """Open the rings, prepare the room, and run until told to stop."""
     room = load_room(worker.spec.room_path)
@@ -190,10 +200,11 @@ def main(worker: Worker) -> None:
         for fd, camera in zip(worker.spec.ring_fds, room.cameras, strict=True)
     ]
     pipeline, mesh, texels = build_pipeline(room, worker.spec.options, worker)
+    collector = FrameCollector(readers)
     illumination = Illumination(
         worker,
         pipeline,
-        FrameCollector(readers),
+        collector,
         # Milliseconds since boot: above everything that an earlier process of this room can have sent.
         PacketWriter.for_room(mesh, time.monotonic_ns() // 1_000_000),
         AtlasChannel(build_downsampler(texels), room_revision(mesh.content_hash)),
@@ -204,15 +215,17 @@ def main(worker: Worker) -> None:
     signal = FrameSignal(worker.spec.signal_fd)
     worker.on_control(signal.notify)
     camera_ids = [camera.camera_id for camera in room.cameras]
+    period_s = 1.0 / (worker.spec.options.get("frame_rate") or room.frame_rate)
     # A camera asked for one frame in two seconds is not stale in between.
-    stale_after_s = max(STALE_AFTER_S, 3.0 / (worker.spec.options.get("frame_rate") or room.frame_rate))
+    stale_after_s = max(STALE_AFTER_S, 3.0 * period_s)
     worker.describe(lambda: illumination.status(camera_ids, stale_after_s))
     while not worker.stop.is_set():
         state = worker.control
         assert state is not None
         illumination.step(state, time.monotonic())
         worker.beat(preparing="")
-        signal.wait(_WAIT_S)
+        if signal.wait(_WAIT_S):
+            wait_for_all(collector, signal, period_s)
 
 
 if __name__ == "__main__":

@@ -113,6 +113,25 @@ def test_distrust_waits_for_the_next_whole_picture(
     assert other.tile_revisions is not None
 
 
+def test_a_set_of_pictures_is_complete_when_all_live_cameras_spoke_in_one_period(
+    rings: tuple[list[FrameRingWriter], list[FrameRingReader]],
+) -> None:
+    writers, readers = rings
+    collector, ms = FrameCollector(readers), 1_000_000
+    assert collector.is_complete(0.1)  # nobody has spoken: nothing to wait for
+    _write(writers[0], 1, timestamp_ns=10_000 * ms)
+    assert collector.is_complete(0.1)  # the other has never delivered
+    _write(writers[1], 1, timestamp_ns=10_005 * ms)
+    assert collector.is_complete(0.1)
+    _write(writers[0], 2, timestamp_ns=10_100 * ms)
+    assert not collector.is_complete(0.1)
+    writers[1].confirm(10_101 * ms)
+    assert collector.is_complete(0.1)
+    for period in range(2, 9):  # camera 1 has died
+        _write(writers[0], period, timestamp_ns=(10_000 + 100 * period) * ms)
+        assert collector.is_complete(0.1) == (period > 5)
+
+
 def test_age_counts_from_the_last_sign_of_the_camera(
     rings: tuple[list[FrameRingWriter], list[FrameRingReader]],
 ) -> None:

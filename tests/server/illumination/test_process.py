@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -17,7 +17,7 @@ from nearfield_server.capture.frame_ring import FrameRingReader, FrameRingWriter
 from nearfield_server.capture.ring_memory import RingShape, create_ring
 from nearfield_server.illumination.frames import FrameCollector
 from nearfield_server.illumination.packet import PacketWriter
-from nearfield_server.illumination.process import Illumination, ObjectBounds
+from nearfield_server.illumination.process import Illumination, ObjectBounds, wait_for_all
 from nearfield_server.illumination.work_ledger import WorkLedger
 from nearfield_server.records import CameraFrame, LightUpdate, ObjectPose, StageReport
 
@@ -194,3 +194,38 @@ def test_only_updates_that_something_asked_for_are_counted(bench: Bench) -> None
         "spent_total_ms": 2.0,
         "error_bound": 0.0,
     }
+
+
+class Bell:
+    """A signal that lets something happen at each wait."""
+
+    def __init__(self, *events: Callable[[], object]) -> None:
+        self.events, self.waits = list(events), 0
+
+    def wait(self, timeout_s: float) -> bool:
+        self.waits += 1
+        if self.events:
+            self.events.pop(0)()
+        return False
+
+
+def test_cameras_that_are_a_moment_later_are_waited_for_but_not_for_long() -> None:
+    fds = [create_ring(f"cam{index}", RingShape(4, 4, 3)) for index in range(2)]
+    writers = [FrameRingWriter(fd, "w") for fd in fds]
+    collector = FrameCollector([FrameRingReader(fd, "r") for fd in fds])
+    second = 1_000_000_000
+    for writer in writers:
+        writer.confirm(second)
+    bell: Any = Bell()
+    wait_for_all(collector, bell, 1.0)
+    assert bell.waits == 0
+    writers[0].confirm(2 * second)
+    bell = Bell(int, lambda: writers[1].confirm(2 * second))
+    wait_for_all(collector, bell, 1.0)
+    assert bell.waits == 2
+    writers[0].confirm(3 * second)
+    bell = Bell()
+    wait_for_all(collector, bell, 0.001)  # ends by the clock
+    assert not collector.is_complete(1.0)
+    for fd in fds:
+        os.close(fd)
