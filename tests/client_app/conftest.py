@@ -117,6 +117,8 @@ class FakeGateway:
     room_revision: int = 1
     port: int = 0
     connections: int = 0
+    processes: dict[str, Any] = field(default_factory=dict)
+    status_requests: int = 0
     _sockets: list[WebSocket] = field(default_factory=list)
     _loop: asyncio.AbstractEventLoop | None = None
 
@@ -193,10 +195,15 @@ class FakeGateway:
         async def scene(_request: Request) -> Response:
             return JSONResponse(self.scene)
 
+        async def status(_request: Request) -> Response:
+            self.status_requests += 1
+            return JSONResponse({"protocol_version": VERSION, "processes": self.processes})
+
         return _with_policy(
             Starlette(
                 routes=[
                     Route("/api/scene", scene),
+                    Route("/api/status", status),
                     WebSocketRoute("/ws", self._serve_socket),
                     Mount("/", StaticFiles(directory=self.static_dir, html=True)),
                 ]

@@ -115,6 +115,59 @@ def test_lamps_follow_other_devices(gateway, open_page) -> None:
     assert opened.state()["weights"] == [1, 0]
 
 
+def test_status_tells_what_ran_what_was_skipped_and_why(gateway, open_page) -> None:
+    stage = {"wall_ms": 1.0, "cpu_ms": 2.0, "error_bound": 0.0}
+    gateway.processes = {
+        "illumination": {
+            "stages": [
+                {
+                    **stage,
+                    "name": "gather",
+                    "ran": True,
+                    "part": 0.12,
+                    "reason": "new pictures",
+                    "saved_ms": 30.0,
+                },
+                {**stage, "name": "probe", "ran": False, "part": 0.0, "reason": "unchanged", "saved_ms": 8.4},
+            ],
+            "skipping": {
+                "age_s": 75.0,
+                "saved_ms": 38.4,
+                "saved_total_ms": 90_000.0,
+                "spent_total_ms": 30_000.0,
+                "error_bound": 0.02,
+            },
+        }
+    }
+    opened = open_page(gateway.url)
+    opened.wait_for("s.connection === 'live' && s.sequence === 1")
+    opened.page.wait_for_timeout(1500)
+    assert gateway.status_requests == 0  # nobody looks
+    opened.page.get_by_role("tab", name="Status").tap()
+    panel = opened.page.get_by_role("tabpanel", name="Status")
+    for text in (
+        "38 ms",
+        "1.5 min (75 %)",
+        "at most 2.0 %",
+        "Light from the cameras",
+        "ran in part (12 %)",
+        "new pictures, saved 30 ms",
+        "What objects see",
+        "unchanged, saved 8.4 ms",
+        "1.2 min ago: 1 ran, 1 skipped",
+    ):
+        expect(panel.get_by_text(text, exact=True)).to_be_visible()
+    expect(panel.get_by_text("Exposure and display", exact=True)).to_be_visible()
+    gateway.processes = {}
+    expect(panel.get_by_text("at most 2.0 %", exact=True)).to_be_hidden()
+    opened.page.get_by_role("tab", name="Lamps").tap()
+    opened.page.wait_for_timeout(1500)
+    asked = gateway.status_requests
+    opened.page.wait_for_timeout(1500)
+    assert gateway.status_requests == asked
+    assert opened.complaints == []
+
+
 def test_lost_connection_is_shown_and_recovers(gateway, open_page) -> None:
     opened = open_page(gateway.url)
     opened.wait_for("s.connection === 'live'")

@@ -2,6 +2,7 @@
 import type { Shell } from '../ui/shell'
 import { strings } from '../ui/strings'
 import type { ConnectionState } from './ports'
+import { ServerWorkFeed } from './serverWorkFeed'
 import type { Viewer } from './viewer'
 
 const REFRESH_MS = 250
@@ -9,6 +10,7 @@ const REFRESH_MS = 250
 export class StatusDisplay {
   readonly #shell: Shell
   readonly #viewer: Viewer
+  readonly #serverWork = new ServerWorkFeed()
   #wasLost = false
 
   constructor(shell: Shell, viewer: Viewer) {
@@ -57,6 +59,12 @@ export class StatusDisplay {
     const tone = connectionState.kind === 'closed' ? 'bad' : isLive && !isStale ? 'good' : 'waiting'
     const age = feed.ageMs(now)
     controls.setConnection(tone, text, isLive ? age : null)
+    if (!controls.isInfoShown) {
+      return
+    }
+    if (isLive) {
+      this.#serverWork.look(now)
+    }
     controls.setInfo({
       connection: text,
       lightAgeMs: age,
@@ -67,6 +75,7 @@ export class StatusDisplay {
       width: numbers.width,
       height: numbers.height,
       passes: report.passes,
+      work: isLive ? this.#serverWork.work : null,
     })
   }
 }

@@ -1,11 +1,13 @@
 import { describe, expect, it } from 'vitest'
 import {
   bytes,
+  duration,
   encodeSrgb,
   lampColour,
   milliseconds,
   perSecond,
   readableName,
+  share,
   stops,
   withAge,
 } from './format'
@@ -43,5 +45,22 @@ describe('format', () => {
     expect(stops(0.5)).toBe('−1.0')
     expect(stops(1.01)).toBe('0.0')
     expect(readableName('ceiling_light')).toBe('Ceiling light')
+  })
+
+  it('adds time up in units that stay readable', () => {
+    expect([0, 0.31, 38.4, 950].map(duration)).toEqual(['0 ms', '0.3 ms', '38 ms', '950 ms'])
+    expect([1000, 59_000, 90_000].map(duration)).toEqual(['1.0 s', '59 s', '1.5 min'])
+    expect([7_200_000, 36 * 3_600_000].map(duration)).toEqual(['2.0 h', '1.5 d'])
+  })
+
+  it('never rounds a little to nothing or almost all to all', () => {
+    expect([0, 1e-6, 0.0204, 0.5, 0.9999, 1].map(share)).toEqual([
+      '0 %',
+      '0.1 %',
+      '2.0 %',
+      '50 %',
+      '99 %',
+      '100 %',
+    ])
   })
 })

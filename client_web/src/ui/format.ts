@@ -22,6 +22,28 @@ export function milliseconds(value: number | null): string {
   return value < 10_000 ? `${Math.round(value)} ms` : `${(value / 1000).toFixed(0)} s`
 }
 
+/** Time that adds up, from milliseconds to days. */
+export function duration(valueMs: number): string {
+  const units: readonly [number, string][] = [
+    [86_400_000, 'd'],
+    [3_600_000, 'h'],
+    [60_000, 'min'],
+    [1000, 's'],
+  ]
+  const [size, name] = units.find(([unitMs]) => valueMs >= unitMs) ?? [1, 'ms']
+  const value = valueMs / size
+  return `${value < 10 && value > 0 ? value.toFixed(1) : value.toFixed(0)} ${name}`
+}
+
+/** A share of a whole in per cent; only nothing is 0 % and only everything 100 %. */
+export function share(value: number): string {
+  if (value <= 0 || value >= 1) {
+    return value <= 0 ? '0 %' : '100 %'
+  }
+  const percent = 100 * value
+  return `${percent < 10 ? Math.max(0.1, percent).toFixed(1) : Math.min(99, percent).toFixed(0)} %`
+}
+
 /** Connection in a few words: the age counts only once it can be felt. */
 export function withAge(text: string, ageMs: number | null): string {
   return ageMs === null || ageMs < 500 ? text : `${text} · ${milliseconds(ageMs)}`

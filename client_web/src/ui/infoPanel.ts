@@ -1,6 +1,9 @@
+import type { ServerWork, StageWork } from '../state/serverWork'
 import { element, setText } from './dom'
-import { bytes, milliseconds, perSecond } from './format'
+import { bytes, duration, milliseconds, perSecond, share } from './format'
 import { strings } from './strings'
+import { type WorkItem, workSection } from './workSection'
+import { passName, passReason, stageName } from './workWords'
 
 export interface PassReport {
   readonly name: string
@@ -19,6 +22,8 @@ export interface InfoNumbers {
   readonly width: number
   readonly height: number
   readonly passes: readonly PassReport[]
+  /** What the server did and was spared; null if it does not say. */
+  readonly work: ServerWork | null
 }
 
 export interface InfoPanel {
@@ -40,16 +45,13 @@ export function infoPanel(): InfoPanel {
   const rate = field(strings.info.rate)
   const frame = field(strings.info.frame)
   const scale = field(strings.info.scale)
-  const summary = element('span', { className: 'value' })
-  const passes = element('ul', { className: 'passes' })
-  const details = element(
-    'details',
-    { className: 'details' },
-    element('summary', {}, element('span', { className: 'row-label' }, strings.info.passes), summary),
-    passes,
-  )
+  const saved = field(strings.info.saved)
+  const savedTotal = field(strings.info.savedTotal)
+  const error = field(strings.info.error)
+  const server = workSection(strings.info.server)
+  const device = workSection(strings.info.device)
   return {
-    element: element('div', { className: 'panel' }, list, details),
+    element: element('div', { className: 'panel' }, list, server.element, device.element),
     set: (numbers) => {
       setText(connection, numbers.connection)
       setText(age, milliseconds(numbers.lightAgeMs))
@@ -58,23 +60,35 @@ export function infoPanel(): InfoPanel {
       setText(rate, numbers.updatesPerSecond > 0 ? perSecond(numbers.updatesPerSecond) : strings.info.unknown)
       setText(frame, milliseconds(numbers.frameMs))
       setText(scale, `${numbers.width} × ${numbers.height}`)
-      const ran = numbers.passes.filter((pass) => pass.ran).length
-      setText(summary, `${strings.info.ran(ran)}, ${strings.info.skipped(numbers.passes.length - ran)}`)
-      showPasses(passes, numbers.passes)
+      const { work } = numbers
+      setText(saved, work ? duration(work.savedMs) : strings.info.unknown)
+      setText(savedTotal, work ? savedSinceStart(work) : strings.info.unknown)
+      setText(error, work ? errorAdded(work.errorBound) : strings.info.unknown)
+      server.set((work?.stages ?? []).map(stageItem), work?.ageMs ?? null)
+      device.set(numbers.passes.map(passItem), null)
     },
   }
 }
 
-function showPasses(list: HTMLElement, passes: readonly PassReport[]): void {
-  while (list.children.length > passes.length) {
-    list.lastElementChild?.remove()
+function savedSinceStart(work: ServerWork): string {
+  const all = work.savedTotalMs + work.spentTotalMs
+  return strings.info.ofAll(duration(work.savedTotalMs), share(all > 0 ? work.savedTotalMs / all : 0))
+}
+
+function errorAdded(bound: number): string {
+  return bound > 0 ? strings.info.atMost(share(bound)) : strings.info.noError
+}
+
+function stageItem(stage: StageWork): WorkItem {
+  const { savedMs, reason } = stage
+  return {
+    name: stageName(stage.name),
+    ran: stage.ran,
+    part: stage.part,
+    reason: savedMs > 0 ? strings.work.saved(reason, duration(savedMs)) : reason,
   }
-  passes.forEach((pass, index) => {
-    const item =
-      (list.children[index] as HTMLElement | undefined) ??
-      list.appendChild(element('li', {}, element('span'), element('span', { className: 'value' })))
-    item.classList.toggle('ran', pass.ran)
-    setText(item.children[0] as HTMLElement, pass.name)
-    setText(item.children[1] as HTMLElement, pass.reason)
-  })
+}
+
+function passItem(pass: PassReport): WorkItem {
+  return { name: passName(pass.name), ran: pass.ran, part: 1, reason: passReason(pass.reason) }
 }

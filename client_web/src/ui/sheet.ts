@@ -48,6 +48,11 @@ export class Sheet {
     return this.#open
   }
 
+  /** Whether people can see this page. */
+  isShowing(index: number): boolean {
+    return this.#open && this.#panels[index]?.hidden === false
+  }
+
   setOpen(open: boolean): void {
     this.#open = open
     this.element.classList.toggle('folded', !open)

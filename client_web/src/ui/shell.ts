@@ -145,6 +145,11 @@ export class SceneControls {
     setText(this.#chipText, withAge(text, ageMs))
   }
 
+  /** Whether the page of numbers is in sight; nobody needs them otherwise. */
+  get isInfoShown(): boolean {
+    return this.sheet.isShowing(INFO_PAGE)
+  }
+
   setInfo(numbers: InfoNumbers): void {
     this.#info.set(numbers)
   }

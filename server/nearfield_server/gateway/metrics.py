@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
+from typing import Any
+
 from prometheus_client import CollectorRegistry, Counter, Gauge, generate_latest
 from prometheus_client.exposition import CONTENT_TYPE_LATEST
+from prometheus_client.metrics_core import CounterMetricFamily, GaugeMetricFamily, Metric
 from prometheus_client.platform_collector import PlatformCollector
 from prometheus_client.process_collector import ProcessCollector
+from prometheus_client.registry import Collector
 
 CONTENT_TYPE = CONTENT_TYPE_LATEST
 
@@ -48,6 +53,48 @@ class GatewayMetrics:
             "nearfield_refused_requests", "Requests refused for their host or origin.", registry=self.registry
         )
 
+    def watch_stages(self, statuses: Callable[[], dict[str, Any]]) -> None:
+        """Add what the light stages did, read from the newest statuses of all processes whenever somebody asks."""
+        self.registry.register(_StageCollector(statuses))
+
     def render(self) -> bytes:
         """The numbers in Prometheus' text format."""
         return generate_latest(self.registry)
+
+
+class _StageCollector(Collector):
+    """The account of the light stages (`illumination.work_ledger`) as samples; nothing is kept in between."""
+
+    def __init__(self, statuses: Callable[[], dict[str, Any]]) -> None:
+        self._statuses = statuses
+
+    def describe(self) -> Iterable[Metric]:
+        """No names beforehand: there are no stages before the first update."""
+        return ()
+
+    def collect(self) -> Iterable[Metric]:
+        """Samples of the newest status."""
+        status = self._statuses().get("illumination", {})
+        updates = CounterMetricFamily(
+            "nearfield_stage_updates",
+            "Updates of the light in which a stage ran in full, ran in part or was skipped.",
+            labels=("stage", "outcome"),
+        )
+        spent = CounterMetricFamily(
+            "nearfield_stage_cpu_seconds", "CPU time of a light stage.", labels=("stage",)
+        )
+        saved = CounterMetricFamily(
+            "nearfield_stage_saved_cpu_seconds", "CPU time that skipping saved, estimated.", labels=("stage",)
+        )
+        bound = GaugeMetricFamily(
+            "nearfield_skipping_error_bound",
+            "Largest relative error of the light that skipping can have caused.",
+        )
+        for stage in status.get("stages", ()):
+            for outcome in ("full", "part", "skipped"):
+                updates.add_metric((stage["name"], outcome), stage[f"updates_{outcome}"])
+            spent.add_metric((stage["name"],), stage["spent_total_ms"] * 1e-3)
+            saved.add_metric((stage["name"],), stage["saved_total_ms"] * 1e-3)
+        if "skipping" in status:
+            bound.add_metric((), status["skipping"]["error_bound"])
+        return updates, spent, saved, bound

@@ -83,6 +83,7 @@ def main(worker: Worker) -> None:
     scene = prepare_scene(worker)
     hub = LightHub(stale_after=scene.description.settings.stale_after_ms / 1000.0)
     link = BusLink(worker.bus, hub)
+    hub.metrics.watch_stages(link.statuses)
     try:
         asyncio.run(run_gateway(worker, scene, hub, link))
     finally:

@@ -109,7 +109,7 @@ class Illumination:
             self._updates += 1
             self._last_run = update
         if ran or self._collector.had_news:
-            self._ledger.add(update.stages)
+            self._ledger.add(update.stages, now_s)
         revisions = [pose.revision for pose in poses]
         # A moved object may have the same SH as before, but clients wait for the revision of its pose.
         before = self._packet
@@ -151,7 +151,7 @@ class Illumination:
             "updates": self._updates,
             "torn_frames": self._collector.torn,
             "atlas_wanted": self._atlas_wanted,
-            **self._ledger.report(),
+            **self._ledger.report(now_ns * 1e-9),
         }
         if self._last_run is not None:
             status["counters"] = self._last_run.counters

@@ -32,7 +32,9 @@ class StageTotals:
 
 
 class WorkLedger:
-    """Adds up stage reports. An update counts when pictures, or word that they still hold, had come; idle looks at the clock do not.
+    """Adds up stage reports, and remembers the last update in which anything ran.
+
+    An update counts when pictures, or word that they still hold, had come; idle looks at the clock do not.
 
     Args:
         change_tolerances: per camera, the relative change of a pixel that capture leaves out; part of the error bound.
@@ -42,12 +44,14 @@ class WorkLedger:
         self._tolerance = max(change_tolerances, default=0.0)
         self._totals: dict[str, StageTotals] = {}
         self._last: tuple[StageReport, ...] = ()
+        self._last_s = 0.0
 
-    def add(self, stages: tuple[StageReport, ...]) -> None:
-        """Count one update."""
+    def add(self, stages: tuple[StageReport, ...], now_s: float) -> None:
+        """Count one update at `now_s` of any monotonic clock."""
         for report in stages:
             self._totals.setdefault(report.name, StageTotals()).add(report)
-        self._last = stages
+        if any(report.ran for report in stages):
+            self._last, self._last_s = stages, now_s
 
     @property
     def error_bound(self) -> float:
@@ -57,12 +61,16 @@ class WorkLedger:
             kept *= 1.0 + report.error_bound
         return kept - 1.0
 
-    def report(self) -> dict[str, Any]:
-        """Return the fields `stages` (the last update, with totals) and `skipping` of the status message; any thread may ask."""
+    def report(self, now_s: float) -> dict[str, Any]:
+        """Return the fields `stages` (the last update in which anything ran, and totals) and `skipping` of the status message.
+
+        Any thread may ask. `age_s` is the time since that update, in which nothing had to be done; null before the first.
+        """
         last, totals = self._last, list(self._totals.values())
         return {
             "stages": [self._stage(report) for report in last],
             "skipping": {
+                "age_s": round(now_s - self._last_s, 3) if last else None,
                 "saved_ms": round(sum(report.saved_ms for report in last), 3),
                 "saved_total_ms": round(sum(stage.saved_ms for stage in totals), 1),
                 "spent_total_ms": round(sum(stage.spent_ms for stage in totals), 1),

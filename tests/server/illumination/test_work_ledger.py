@@ -27,8 +27,8 @@ def report(name: str, part: float, saved_ms: float = 0.0, error_bound: float = 0
 def test_every_update_is_counted_once(parts: list[float]) -> None:
     ledger = WorkLedger()
     for part in parts:
-        ledger.add((report("gather", part, saved_ms=1.0 - part), report("split", 1.0)))
-    found = ledger.report()
+        ledger.add((report("gather", part, saved_ms=1.0 - part), report("split", 1.0)), 3.0)
+    found = ledger.report(5.5)
     gather, split = found["stages"]
     counted = [gather[f"updates_{kind}"] for kind in ("full", "part", "skipped")]
     assert counted == [parts.count(1.0), parts.count(0.25), parts.count(0.0)]
@@ -40,18 +40,31 @@ def test_every_update_is_counted_once(parts: list[float]) -> None:
     assert totals["saved_ms"] == pytest.approx(1.0 - parts[-1])
     assert totals["spent_total_ms"] == pytest.approx(2.0 * (sum(parts) + len(parts)), abs=0.06)
     assert totals["error_bound"] == 0.0
+    assert totals["age_s"] == 2.5
+
+
+def test_the_last_update_that_did_anything_stays_in_sight() -> None:
+    ledger = WorkLedger()
+    ledger.add((report("gather", 1.0), report("probe", 0.0)), 1.0)
+    for second in range(2, 9):
+        ledger.add((report("gather", 0.0, saved_ms=10.0), report("probe", 0.0, saved_ms=2.0)), second)
+    found = ledger.report(9.0)
+    assert [stage["ran"] for stage in found["stages"]] == [True, False]
+    assert [stage["updates_skipped"] for stage in found["stages"]] == [7, 8]
+    assert (found["skipping"]["age_s"], found["skipping"]["saved_ms"]) == (8.0, 0.0)
+    assert found["skipping"]["saved_total_ms"] == 7 * 12.0
 
 
 def test_the_error_bound_holds_for_capture_and_stages_together() -> None:
     ledger = WorkLedger([0.0, 0.02])
     assert ledger.error_bound == pytest.approx(0.02)
-    ledger.add((report("gather", 0.5, error_bound=0.01), report("sh", 1.0)))
-    assert ledger.report()["skipping"]["error_bound"] == pytest.approx(1.02 * 1.01 - 1.0)
-    ledger.add((report("gather", 1.0), report("sh", 1.0)))
+    ledger.add((report("gather", 0.5, error_bound=0.01), report("sh", 1.0)), 0.0)
+    assert ledger.report(0.0)["skipping"]["error_bound"] == pytest.approx(1.02 * 1.01 - 1.0)
+    ledger.add((report("gather", 1.0), report("sh", 1.0)), 1.0)
     assert ledger.error_bound == pytest.approx(0.02)
 
 
 def test_before_the_first_update_there_is_nothing_to_tell() -> None:
-    found = WorkLedger().report()
+    found = WorkLedger().report(7.0)
     assert found["stages"] == []
-    assert set(found["skipping"].values()) == {0.0}
+    assert set(found["skipping"].values()) == {None, 0.0}

@@ -1,0 +1,25 @@
+/** Server stages and passes of this page in words for people. Unknown names stay readable: either side may be newer. */
+import { readableName } from './format'
+import { strings } from './strings'
+
+const CHANGED = 'changed: '
+
+export function stageName(name: string): string {
+  return (strings.work.stages as Readonly<Record<string, string>>)[name] ?? readableName(name)
+}
+
+export function passName(name: string): string {
+  return (strings.work.passes as Readonly<Record<string, string>>)[name] ?? readableName(name)
+}
+
+/** Why a pass ran or did not: "changed: gbuffer, tiles" names what it reads. */
+export function passReason(reason: string): string {
+  if (reason === 'inputs unchanged') {
+    return strings.work.unchanged
+  }
+  if (!reason.startsWith(CHANGED)) {
+    return reason
+  }
+  const inputs = reason.slice(CHANGED.length).split(', ')
+  return strings.work.changed(inputs.map((input) => passName(input).toLowerCase()).join(', '))
+}
