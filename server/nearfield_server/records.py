@@ -204,7 +204,7 @@ class StageReport:
         reason: why it ran or was skipped, in words.
         wall_ms: time it took, 0 when skipped. cpu_ms: the same of all threads.
         part: share of the stage's whole work that was done, in [0, 1]: 0 skipped, 1 everything, between them only what had changed.
-        saved_ms: CPU time that skipping saved, estimated from the mean of this stage's own whole runs; 0 until there was one.
+        saved_ms: CPU time that skipping saved, estimated from the mean of this stage's whole runs after the first; 0 until there was one.
         error_bound: largest relative error of the result that skipping can have caused; 0 where the result is bit for bit the same.
     """
 

@@ -131,7 +131,7 @@ def test_status_tells_what_ran_what_was_skipped_and_why(gateway, open_page) -> N
                 {**stage, "name": "probe", "ran": False, "part": 0.0, "reason": "unchanged", "saved_ms": 8.4},
             ],
             "skipping": {
-                "age_s": 75.0,
+                "age_s": 72.0,
                 "saved_ms": 38.4,
                 "saved_total_ms": 90_000.0,
                 "spent_total_ms": 30_000.0,
@@ -157,7 +157,7 @@ def test_status_tells_what_ran_what_was_skipped_and_why(gateway, open_page) -> N
         "1.2 min ago: 1 ran, 1 skipped",
     ):
         expect(panel.get_by_text(text, exact=True)).to_be_visible()
-    expect(panel.get_by_text("Exposure and display", exact=True)).to_be_visible()
+    expect(panel.get_by_text("Camera picture", exact=True)).to_be_visible()
     gateway.processes = {}
     expect(panel.get_by_text("at most 2.0 %", exact=True)).to_be_hidden()
     opened.page.get_by_role("tab", name="Lamps").tap()

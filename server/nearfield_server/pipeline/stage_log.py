@@ -14,16 +14,20 @@ _T = TypeVar("_T")
 
 
 class _MeanCost:
-    """Running mean of the CPU time of a stage's whole runs; old runs fade."""
+    """Running mean of the CPU time of a stage's whole runs; old runs fade.
+
+    The first run, which loads and compiles kernels, does not count.
+    """
 
     def __init__(self) -> None:
         self.mean_ms = 0.0
-        self._runs = 0
+        self._runs = -1
 
     def add(self, cpu_ms: float) -> None:
         """Count one whole run."""
         self._runs = min(self._runs + 1, _MEAN_OVER_RUNS)
-        self.mean_ms += (cpu_ms - self.mean_ms) / self._runs
+        if self._runs > 0:
+            self.mean_ms += (cpu_ms - self.mean_ms) / self._runs
 
 
 class StageLog:
