@@ -130,6 +130,24 @@ describe('suitableExposure', () => {
   })
 })
 
+describe('suitableExposure at its limits', () => {
+  it('is a finite factor or none, whatever the picture holds, and right from 1e-6 to 6e4', () => {
+    const broken = fc.constantFrom(Number.NaN, Number.POSITIVE_INFINITY, Number.NEGATIVE_INFINITY, -1, 0)
+    const level = fc.double({ min: Math.log(1e-6), max: Math.log(6e4), noNaN: true }).map(Math.exp)
+    fc.assert(
+      fc.property(level, fc.array(broken, { maxLength: 3 }), (radiance, spoilt) => {
+        const rgba = new Float32Array(4 * 400).fill(radiance)
+        spoilt.forEach((value, i) => {
+          rgba.fill(value, 44 * i, 44 * i + 3)
+        })
+        expect((suitableExposure(rgba) ?? 0) * radiance).toBeCloseTo(0.9, 5)
+        const all = Float32Array.from({ length: 400 }, (_, i) => spoilt[i % spoilt.length] ?? 0)
+        expect(suitableExposure(all)).toBeNull()
+      }),
+    )
+  })
+})
+
 describe('FrameTime', () => {
   it('is the median of the newest frames', () => {
     const time = new FrameTime()

@@ -4,6 +4,8 @@ const PERCENTILE = 0.98
 const TARGET = 0.9
 /** Enough samples for a percentile that is steady to the eye, few enough for a tablet. */
 const MAX_SAMPLES = 20_000
+/** The smallest half float, which pictures are made of: what is darker is black. */
+const BLACK = 2 ** -24
 /** Luminance of linear Rec. 709 primaries (ITU-R BT.709). */
 const LUMINANCE = [0.2126, 0.7152, 0.0722] as const
 
@@ -28,5 +30,5 @@ export function suitableExposure(rgba: Float32Array): number | null {
   }
   const sorted = luminance.subarray(0, count).sort()
   const bright = sorted[Math.min(count - 1, Math.floor(PERCENTILE * count))] ?? 0
-  return bright > 1e-6 ? TARGET / bright : null
+  return bright > BLACK ? TARGET / bright : null
 }
