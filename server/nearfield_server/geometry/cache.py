@@ -24,7 +24,7 @@ from nearfield_server.errors import AssetError
 from nearfield_server.geometry.gather_table import build_gather_table, find_unseen_fill
 from nearfield_server.geometry.probes import ProbeRays
 from nearfield_server.geometry.texels import rasterise_texels
-from nearfield_server.pipeline import hidden_light, receiver_patches
+from nearfield_server.pipeline import hidden_light, hidden_receivers, receiver_patches
 from nearfield_server.pipeline.hidden_light import (
     HiddenLight,
     find_hidden_light,
@@ -86,7 +86,7 @@ def load_or_build(
         _save(fill_file, fill)
     report("hidden surfaces", 0.8)
     # Which receivers to trust is a matter of judgement: any change of that code leads to another name without a new format.
-    judgement = inspect.getsource(hidden_light) + inspect.getsource(receiver_patches)
+    judgement = "".join(map(inspect.getsource, (hidden_light, hidden_receivers, receiver_patches)))
     key.update(fill.texel.tobytes() + fill.source.tobytes() + judgement.encode())
     hidden_file = folder / f"hidden-{key.hexdigest()[:32]}.npz"
     hidden = _load(hidden_file, HiddenLight) or _save(hidden_file, _find_hidden(mesh, texels, fill))

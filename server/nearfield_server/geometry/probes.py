@@ -17,6 +17,8 @@ from nearfield_server.records import RoomMesh, TexelGeometry
 
 # A hit on a chart border lands on an uncovered texel; the covered texel of the same triangle is at most this far away.
 _SEARCH_RANGE = 3
+# Rays to a point end this share of the way before it: it lies on a surface.
+_SHORT_OF_TARGET = 1e-4
 
 
 class ProbeRays:
@@ -55,6 +57,16 @@ class ProbeRays:
             uv = np.einsum("nk,nkd->nd", barycentric, self._corner_uv[face[hit]])
             result[hit] = self._by_face.nearest(face[hit], uv)
         return result
+
+    def sees(
+        self, origin_world: NDArray[np.float64], targets_world: NDArray[np.float64]
+    ) -> NDArray[np.bool_]:
+        """(n,) whether nothing of the room lies between the origin (3,) and each target (n, 3)."""
+        offset = np.asarray(targets_world, dtype=np.float64) - origin_world
+        distance = np.linalg.norm(offset, axis=1)
+        starts = np.broadcast_to(np.asarray(origin_world, dtype=np.float64), offset.shape)
+        directions = offset / np.maximum(distance, 1e-12)[:, None]
+        return self._rays.free_sight(starts, directions, (1.0 - _SHORT_OF_TARGET) * distance)
 
 
 class _FaceTexels:

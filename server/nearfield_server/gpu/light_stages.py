@@ -27,6 +27,7 @@ from nearfield_server.pipeline.blocks import NORMAL_SCALE, cluster_features, mak
 from nearfield_server.pipeline.gather import frame_pointers
 from nearfield_server.pipeline.integration import ValSums, lights_from_sums
 from nearfield_server.pipeline.packed_table import PackedTable, pack_gather_table
+from nearfield_server.pipeline.reflections import REFLECTED_SHARE, make_reflectors, reflected_share
 from nearfield_server.pipeline.sampling import stratified_pattern
 from nearfield_server.pipeline.sh_projection import weighted_basis
 from nearfield_server.pipeline.split import COARSE_BINS
@@ -95,6 +96,7 @@ class GlBackend:
         self._pattern = stratified_pattern(setup.settings.num_samples, setup.settings.seed)
         self._threshold = np.full(3, np.inf, dtype=np.float32)
         self._auto_split = AutoSplit()
+        self._reflectors = make_reflectors(setup.mesh, setup.texels)
         blocks = make_blocks(setup.texels)
         table = pack_gather_table(setup.table)
         self._position, self._normal = blocks.position, blocks.normal
@@ -170,18 +172,23 @@ class GlBackend:
 
     def sample(self) -> NDArray[np.float64]:
         """See `StageBackend`."""
+        chosen = self.pick(self._threshold)
+        return cluster_features(self._position[chosen], self._normal[chosen])
+
+    def pick(self, threshold: NDArray[np.float32]) -> NDArray[np.int64]:
+        """See `reflections.TexelPicker`."""
         self._run(
             "block_weights",
             self._num_blocks,
             [self._radiance, self._area, self._block_sums],
             uNumTexels=self._num_texels,
-            uThreshold=self._threshold.tolist(),
+            uThreshold=threshold.tolist(),
         )
         weights = self._read(self._block_sums, np.float32).reshape(-1, 4)[:, 3].astype(np.float64)
         cumulative = np.cumsum(weights)
         total = float(cumulative[-1])
         if not total > 0.0:
-            return np.zeros((0, 6))
+            return np.zeros(0, dtype=np.int64)
         positions = self._pattern * total
         block = np.searchsorted(cumulative, positions, side="right")
         block = np.minimum(block, np.flatnonzero(weights)[-1])
@@ -194,10 +201,13 @@ class GlBackend:
             [self._radiance, self._area, self._sample_block, self._sample_rest, self._sample_texel],
             uNumTexels=self._num_texels,
             uNumSamples=block.size,
-            uThreshold=self._threshold.tolist(),
+            uThreshold=threshold.tolist(),
         )
-        chosen = self._read(self._sample_texel, np.int32)
-        return cluster_features(self._position[chosen], self._normal[chosen])
+        return self._read(self._sample_texel, np.int32).astype(np.int64)
+
+    def radiance_of(self, texel: NDArray[np.int64], channel: int) -> NDArray[np.float64]:
+        """See `reflections.TexelPicker`. Reads the whole atlas back; only asked for when the light has changed."""
+        return np.asarray(self.texel_radiance()[texel, channel], dtype=np.float64)
 
     def integrate(self, centres: NDArray[np.float64], alive: NDArray[np.bool_]) -> ValSums:
         """See `StageBackend`."""
@@ -304,7 +314,12 @@ class GlBackend:
                 uScale=scale,
             )
             histogram[channel] = self._read(self._histogram, np.uint32)
-        return self._auto_split.choose(histogram, scale, self._total_area)
+        return self._auto_split.choose(
+            histogram,
+            scale,
+            self._total_area,
+            lambda *cuts: reflected_share(self._reflectors, self, *cuts) >= REFLECTED_SHARE,
+        )
 
     def _run(self, name: str, groups: int, buffers: Sequence[Any], **uniforms: object) -> None:
         program = self._programs[name]

@@ -7,10 +7,15 @@ sources lie. Sources are told by three properties of the texels above the gap: t
 cover little of the room (a source that covers much of it is low-frequency light, which the SH carry well), and hardly any
 energy lies within the gap, because reflecting surfaces shade smoothly into each other. Otsu's criterion (1979), which
 takes the best single cut, loses the weaker of two sources of different radiance, and splits a room without any source.
+
+A lamp's bright spot in a dark room has these properties too. The caller can tell it by geometry (`reflections`): the lowest
+classes are left out while they are only reflections of those above.
 """
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
@@ -69,27 +74,78 @@ class _Levels:
     contrast: NDArray[np.float64]
 
 
+ReflectionTest = Callable[[int, float, float, float, float], bool]
+"""Whether a class of texels only reflects the classes above it: (channel, radiance of the upper cut, radiance of the lower
+cut, sum L dA above the upper cut in W/sr, area above it in m^2)."""
+
+
 class AutoSplit:
     """The threshold from update to update: steady under noise, chosen anew when the light of the room has changed."""
 
     def __init__(self) -> None:
         self._threshold = np.full(3, np.inf, dtype=np.float32)
         self._chosen_at = np.zeros(3)
+        # Radiance of cuts that were refused in the present light, per channel.
+        self._refused: list[list[float]] = [[], [], []]
 
-    def choose(self, histogram: NDArray[np.int64], scale: float, total_area: float) -> NDArray[np.float32]:
-        """(3,) float32 threshold; arguments as for `auto_threshold`.
+    def choose(
+        self,
+        histogram: NDArray[np.int64],
+        scale: float,
+        total_area: float,
+        is_reflected: ReflectionTest | None = None,
+    ) -> NDArray[np.float32]:
+        """(3,) float32 threshold; first arguments as for `auto_threshold`.
 
         A channel whose total differs from that at which its threshold was chosen forgets it: a cut that was right with a
         lamp off can lie among the surfaces that the lamp lights.
+
+        Args:
+            histogram: see `auto_threshold`.
+            scale: see `auto_threshold`.
+            total_area: see `auto_threshold`.
+            is_reflected: asked once per class and light; without it every class counts as a source.
         """
         total = histogram.sum(axis=1).astype(np.float64) / scale
         changed = np.abs(total - self._chosen_at) > _NEW_LIGHT * self._chosen_at
-        previous = np.where(changed, np.float32(np.inf), self._threshold).astype(np.float32)
-        threshold = auto_threshold(histogram, scale, total_area, previous)
+        previous = np.where(changed, np.float32(np.inf), self._threshold)
+        threshold = np.full(3, np.inf, dtype=np.float32)
+        for channel in range(3):
+            if changed[channel]:
+                self._refused[channel] = []
+            levels = _levels(histogram[channel], scale * total_area)
+            if levels is not None:
+                energy = float(total[channel]), total_area
+                cuts = self._sources(channel, levels, _source_cuts(levels), *energy, is_reflected)
+                threshold[channel] = _keep_or_choose(levels, cuts, float(previous[channel]))
         anew = changed | (threshold != self._threshold)
         self._chosen_at = np.where(anew, total, self._chosen_at)
         self._threshold = threshold
         return threshold
+
+    def _sources(
+        self,
+        channel: int,
+        levels: _Levels,
+        cuts: list[int],
+        total: float,
+        total_area: float,
+        is_reflected: ReflectionTest | None,
+    ) -> list[int]:
+        """The cuts without the lowest classes that only reflect; what lies between two sources stays with them."""
+        while is_reflected is not None and len(cuts) > 1:
+            lower, upper = cuts[-1], cuts[-2]
+            cut = float(levels.radiance[lower])
+            if not any(_is_same_cut(cut, refused) for refused in self._refused[channel]):
+                above = (
+                    float(levels.energy_above[upper]) * total,
+                    float(levels.area_above[upper]) * total_area,
+                )
+                if not is_reflected(channel, float(levels.radiance[upper]), cut, *above):
+                    break
+                self._refused[channel].append(cut)
+            cuts = cuts[:-1]
+        return cuts
 
 
 def auto_threshold(
@@ -111,7 +167,7 @@ def auto_threshold(
         levels = _levels(histogram[channel], scale * total_area)
         if levels is not None:
             old = np.inf if previous is None else float(previous[channel])
-            threshold[channel] = _choose(levels, old)
+            threshold[channel] = _keep_or_choose(levels, _source_cuts(levels), old)
     return threshold
 
 
@@ -148,31 +204,37 @@ def _levels(histogram: NDArray[np.int64], scaled_area: float) -> _Levels | None:
     )
 
 
-def _choose(levels: _Levels, previous: float) -> float:
-    found = _lowest_cut(levels)
+def _keep_or_choose(levels: _Levels, cuts: list[int], previous: float) -> float:
+    """The threshold in use while it still splits well and no further source has appeared, else the lowest cut."""
     if np.isfinite(previous):
         kept = int(np.searchsorted(levels.radiance, previous))
         in_range = 0 < kept < levels.radiance.size
         if in_range and _separates(levels, kept, 0.0, _KIND):
-            if found is None:
+            if not cuts:
                 return previous
-            newly_direct = levels.energy_above[found] - levels.energy_above[kept]
+            newly_direct = levels.energy_above[cuts[-1]] - levels.energy_above[kept]
             if newly_direct < _STRICT.min_share:
                 return previous
-    return float("inf") if found is None else float(levels.radiance[found])
+    return float(levels.radiance[cuts[-1]]) if cuts else float("inf")
 
 
-def _lowest_cut(levels: _Levels) -> int | None:
-    """The lowest of all gaps that separate a class of sources from what is below it, found from the top."""
-    accepted: int | None = None
+def _source_cuts(levels: _Levels) -> list[int]:
+    """All gaps that separate a class of sources from what is below it, from the top."""
+    cuts: list[int] = []
     above = 0.0
     cut = levels.radiance.size - 1
     while cut > 0 and levels.area_above[cut] <= _STRICT.max_area:
         if _separates(levels, cut, above, _STRICT):
-            cut = accepted = _middle_of_gap(levels.gap_energy, cut)
+            cut = _middle_of_gap(levels.gap_energy, cut)
+            cuts.append(cut)
             above = float(levels.energy_above[cut])
         cut -= 1
-    return accepted
+    return cuts
+
+
+def _is_same_cut(cut: float, other: float) -> bool:
+    """Whether two cuts lie in one gap: noise moves the emptiest place of a gap, never beyond its width."""
+    return abs(math.log2(cut / other)) * _LEVELS_PER_OCTAVE <= 2 * _GAP
 
 
 def _separates(levels: _Levels, cut: int, above: float, limits: _Limits) -> bool:

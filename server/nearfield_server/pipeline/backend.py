@@ -16,6 +16,7 @@ from nearfield_server.pipeline.hidden_light import HiddenLight
 from nearfield_server.pipeline.hidden_texels import HiddenTexels
 from nearfield_server.pipeline.integration import ValSums, integrate
 from nearfield_server.pipeline.packed_table import group_by_block, pack_gather_table, repeat_pairs
+from nearfield_server.pipeline.reflections import REFLECTED_SHARE, make_reflectors, reflected_share
 from nearfield_server.pipeline.sampling import sample_direct_texels, stratified_pattern
 from nearfield_server.pipeline.sh_projection import project_indirect
 from nearfield_server.pipeline.split import ratio_threshold
@@ -120,6 +121,7 @@ class CpuBackend:
         self._auto_split = AutoSplit()
         self._reached = np.zeros(3, dtype=np.float32)
         self._threshold_moved = False
+        self._reflectors = make_reflectors(setup.mesh, setup.texels)
 
     def gather(self, frames: Sequence[NDArray[np.float16] | None], tiles: Tiles | None = None) -> Gathered:
         """See `StageBackend`."""
@@ -143,7 +145,12 @@ class CpuBackend:
             threshold = ratio_threshold(atlas.radiance, atlas.area, atlas.block_max, ratio, self._pool)
         else:
             energy = atlas.energy if self._hidden is None else atlas.energy + self._hidden.energy
-            threshold = self._auto_split.choose(energy, atlas.energy_scale, self._total_area)
+            threshold = self._auto_split.choose(
+                energy,
+                atlas.energy_scale,
+                self._total_area,
+                lambda *cuts: reflected_share(self._reflectors, self, *cuts) >= REFLECTED_SHARE,
+            )
         self._threshold_moved = not np.array_equal(threshold, self._threshold)
         self._threshold = threshold
         return threshold
@@ -154,11 +161,19 @@ class CpuBackend:
 
     def sample(self) -> NDArray[np.float64]:
         """See `StageBackend`."""
-        atlas = self._atlas
-        chosen, _ = sample_direct_texels(
-            atlas.radiance, atlas.area, self._threshold, atlas.block_max, self._pattern, self._pool
-        )
+        chosen = self.pick(self._threshold)
         return cluster_features(self._blocks.position[chosen], self._blocks.normal[chosen])
+
+    def pick(self, threshold: NDArray[np.float32]) -> NDArray[np.int64]:
+        """See `reflections.TexelPicker`."""
+        atlas = self._atlas
+        return sample_direct_texels(
+            atlas.radiance, atlas.area, threshold, atlas.block_max, self._pattern, self._pool
+        )[0]
+
+    def radiance_of(self, texel: NDArray[np.int64], channel: int) -> NDArray[np.float64]:
+        """See `reflections.TexelPicker`."""
+        return np.asarray(self._atlas.radiance[texel, channel], dtype=np.float64)
 
     def integrate(self, centres: NDArray[np.float64], alive: NDArray[np.bool_]) -> ValSums:
         """See `StageBackend`."""

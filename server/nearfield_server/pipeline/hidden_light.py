@@ -21,30 +21,29 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from nearfield_server.pipeline.probes import ProbeTracer
+from nearfield_server.pipeline.hidden_receivers import (
+    PROBE_OFFSET,
+    RECEIVERS,
+    choose_receivers,
+    cube_resolution,
+    form_factors,
+    make_patches,
+)
+from nearfield_server.pipeline.probes import SightTracer
 from nearfield_server.pipeline.receiver_patches import PATCH_TEXELS, find_patches
 from nearfield_server.radiometry.cube import cube_directions, cube_solid_angles
 from nearfield_server.radiometry.half import HALF_MAX
 from nearfield_server.records import RoomMesh, TexelGeometry, UnseenFill
 
-_RESOLUTION: Final = 24
-_RECEIVERS: Final = 7
 _MAX_GROUPS: Final = 160
-_SOURCE_TEXELS: Final = 32
 _MIN_ALBEDO: Final = 0.05
-_MIN_COSINE: Final = 0.1
-_FRONTAL_POWER: Final = 4
-_MIN_DISTANCE: Final = 2.0
-"""Nearest receiver where there is a choice, in units of the hidden surface's size (square root of its area)."""
 _MIN_FACING: Final = 0.5
 """Length of the mean normal below which a surface is too curved to be one light."""
-_OFFSET: Final = 2e-3
-"""Metres by which probes are lifted off their surface."""
 BELIEF_SHARE: Final = (0.2, 0.4)
 """Share of the light on its receivers that a surface explains: not believed to be a lamp below, wholly above."""
 BELIEF_SPREAD: Final = (0.4, 0.3)
 """Median deviation of the radiance according to single receivers, relative to its median: not believed above, wholly below."""
-MIN_RECEIVERS: Final = _RECEIVERS // 2
+MIN_RECEIVERS: Final = RECEIVERS // 2
 _PATCH_REACH: Final = 0.1
 """Radius of the patch around a receiver, relative to the distance of the hidden surface."""
 _WELD: Final = 1e-5
@@ -105,7 +104,7 @@ def texels_without_source(fill: UnseenFill, num_texels: int) -> NDArray[np.bool_
 
 
 def find_hidden_light(
-    mesh: RoomMesh, texels: TexelGeometry, unseen: NDArray[np.bool_], probe_rays: ProbeTracer
+    mesh: RoomMesh, texels: TexelGeometry, unseen: NDArray[np.bool_], probe_rays: SightTracer
 ) -> HiddenLight | None:
     """Collect the surfaces that no camera sees and the receivers that would betray them.
 
@@ -123,10 +122,12 @@ def find_hidden_light(
         return None
     albedo = mesh.material_albedo[mesh.face_material[texels.face]]
     usable = ~unseen & (albedo.min(axis=1) >= _MIN_ALBEDO)
-    directions, solid_angles = cube_directions(_RESOLUTION), cube_solid_angles(_RESOLUTION)
+    num_groups = int(group.max()) + 1
+    resolution = cube_resolution(num_groups * RECEIVERS)
+    directions, solid_angles = cube_directions(resolution), cube_solid_angles(resolution)
     hidden_group = np.full(unseen.size, -1, dtype=np.int64)
     hidden_group[hidden] = group
-    num_groups = int(group.max()) + 1
+    patches = make_patches(texels, hidden, group, num_groups)
     receivers: list[int] = []
     owners: list[int] = []
     factors: list[NDArray[np.float64]] = []
@@ -135,16 +136,13 @@ def find_hidden_light(
     for surface in range(num_groups):
         members = hidden[group == surface]
         centre = texels.position[members].mean(axis=0, dtype=np.float64)
-        for receiver in _choose_receivers(texels, members, usable, probe_rays, directions):
+        for receiver in choose_receivers(texels, members, usable, probe_rays):
             position = texels.position[receiver].astype(np.float64)
             normal = texels.normal[receiver].astype(np.float64)
             weight = np.maximum(directions @ normal, 0.0) * solid_angles
-            seen = probe_rays.trace(position + _OFFSET * normal, _RESOLUTION)
+            seen = probe_rays.trace(position + PROBE_OFFSET * normal, resolution)
             lit = (weight > 0.0) & (seen >= 0)
-            row = np.zeros(num_groups)
-            inside = lit & (hidden_group[seen] >= 0)
-            np.add.at(row, hidden_group[seen[inside]], weight[inside])
-            row[surface] = _form_factor(texels, members, position, normal)
+            row = form_factors(texels, patches, surface, position, normal, probe_rays)
             visible = lit & (hidden_group[seen] < 0)
             receivers.append(receiver)
             owners.append(surface)
@@ -199,59 +197,6 @@ def _hidden_surfaces(
     number[order] = np.arange(order.size, dtype=np.int32)
     kept = number[group] >= 0
     return hidden[kept].astype(np.int32), number[group][kept]
-
-
-def _choose_receivers(
-    texels: TexelGeometry,
-    members: NDArray[np.int32],
-    usable: NDArray[np.bool_],
-    probe_rays: ProbeTracer,
-    directions: NDArray[np.float64],
-) -> NDArray[np.int64]:
-    """Seen texels in front of a hidden surface, among those on which it would shine most."""
-    position = texels.position[members].astype(np.float64)
-    centre = position.mean(axis=0)
-    middle = members[np.argmin(np.sum((position - centre) ** 2, axis=1))]
-    normal = texels.normal[middle].astype(np.float64)
-    origin = texels.position[middle].astype(np.float64) + _OFFSET * normal
-    seen = probe_rays.trace(origin, _RESOLUTION)
-    candidates = np.unique(seen[(seen >= 0) & (directions @ normal > _MIN_COSINE)])
-    candidates = candidates[usable[candidates]]
-    if candidates.size == 0:
-        return np.asarray(candidates, dtype=np.int64)
-    offset = texels.position[candidates].astype(np.float64) - origin
-    squared = np.maximum(np.einsum("ni,ni->n", offset, offset), 1e-6)
-    incoming = -np.einsum("ni,ni->n", offset, texels.normal[candidates].astype(np.float64)) / np.sqrt(squared)
-    facing = (offset @ normal) / np.sqrt(squared)
-    # Shades and frames hide a lamp from the side: receivers in front of it tell more than those that only glimpse it.
-    strength = facing**_FRONTAL_POWER * np.maximum(incoming, 0.0) / squared
-    strength[incoming < _MIN_COSINE] = 0.0
-    # The inside of a fixture is too close: cameras glimpse only its rim, and its own reflections outshine the model.
-    # A large surface (a whole ceiling) has no others.
-    far = squared >= _MIN_DISTANCE**2 * texels.area[members].sum(dtype=np.float64)
-    if np.count_nonzero(strength[far]) >= _RECEIVERS:
-        strength[~far] = 0.0
-    order = np.argsort(-strength)[: 4 * _RECEIVERS]
-    order = order[strength[order] > 0.0]
-    return np.asarray(candidates[order[:: max(1, order.size // _RECEIVERS)][:_RECEIVERS]], dtype=np.int64)
-
-
-def _form_factor(
-    texels: TexelGeometry,
-    members: NDArray[np.int32],
-    position: NDArray[np.float64],
-    normal: NDArray[np.float64],
-) -> float:
-    """Irradiance per unit radiance of a hidden surface, from some of its texels as discs, wholly visible."""
-    chosen = members[:: max(1, members.size // _SOURCE_TEXELS)]
-    area = float(texels.area[members].sum(dtype=np.float64)) / chosen.size
-    offset = texels.position[chosen].astype(np.float64) - position
-    squared = np.einsum("ni,ni->n", offset, offset)
-    cosines = np.maximum(offset @ normal, 0.0)
-    cosines = cosines * np.maximum(
-        -np.einsum("ni,ni->n", offset, texels.normal[chosen].astype(np.float64)), 0.0
-    )
-    return float((cosines * area / (squared * (squared + area / np.pi))).sum())
 
 
 @njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]

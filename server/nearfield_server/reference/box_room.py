@@ -80,6 +80,12 @@ class BoxRoom:
             self.hit(np.asarray(centre_world, dtype=np.float64), cube_directions(resolution))
         )
 
+    def sees(
+        self, origin_world: NDArray[np.float64], targets_world: NDArray[np.float64]
+    ) -> NDArray[np.bool_]:
+        """All of them: the box is empty."""
+        return np.ones(len(targets_world), dtype=np.bool_)
+
     def texel_field(self, field: RadianceField) -> NDArray[np.float64]:
         """(N, 3) radiance of a field at the texel centres."""
         position = self.texels.position.astype(np.float64)

@@ -13,6 +13,7 @@ from nearfield_server.pipeline.blocks import NORMAL_SCALE
 from nearfield_server.pipeline.integration import ValSums
 from nearfield_server.pipeline.levels import energy_scale, level_energy
 from nearfield_server.pipeline.packed_table import PackedTable
+from nearfield_server.pipeline.reflections import REFLECTED_SHARE, make_reflectors, reflected_share
 from nearfield_server.pipeline.sampling import stratified_pattern
 from nearfield_server.pipeline.split import fixed_point_scale
 from nearfield_server.radiometry.cube import cube_directions, cube_solid_angles
@@ -156,6 +157,7 @@ class ReferenceBackend:
         self._radiance = np.zeros((setup.texels.area.shape[0], 3))
         self._threshold = np.full(3, np.inf, dtype=np.float32)
         self._auto_split = AutoSplit()
+        self._reflectors = make_reflectors(setup.mesh, setup.texels)
 
     def gather(self, frames: Sequence[NDArray[np.float16] | None], tiles: Tiles | None = None) -> Gathered:
         """See `StageBackend`. Everything anew, whatever `tiles` says."""
@@ -179,7 +181,12 @@ class ReferenceBackend:
             scale = energy_scale(area)
             energy = level_energy(radiance, area, scale)
             total_area = float(area.sum(dtype=np.float64))
-            self._threshold = self._auto_split.choose(energy, scale, total_area)
+            self._threshold = self._auto_split.choose(
+                energy,
+                scale,
+                total_area,
+                lambda *cuts: reflected_share(self._reflectors, self, *cuts) >= REFLECTED_SHARE,
+            )
         return self._threshold
 
     def direct_changed(self) -> bool:
@@ -188,18 +195,26 @@ class ReferenceBackend:
 
     def sample(self) -> NDArray[np.float64]:
         """See `StageBackend`."""
-        texels, settings = self._setup.texels, self._setup.settings
-        direct = np.where(self._radiance >= self._threshold, self._radiance, 0.0)
-        cumulative = np.cumsum(direct.sum(axis=1) * texels.area.astype(np.float64))
-        if not cumulative[-1] > 0.0:
-            return np.zeros((0, 6))
-        pattern = stratified_pattern(settings.num_samples, settings.seed)
-        chosen = np.searchsorted(cumulative, pattern * cumulative[-1], side="right")
+        texels, chosen = self._setup.texels, self.pick(self._threshold)
         features = [
             texels.position[chosen].astype(np.float64),
             NORMAL_SCALE * texels.normal[chosen].astype(np.float64),
         ]
         return np.concatenate(features, axis=1)
+
+    def pick(self, threshold: NDArray[np.float32]) -> NDArray[np.int64]:
+        """See `reflections.TexelPicker`."""
+        texels, settings = self._setup.texels, self._setup.settings
+        direct = np.where(self._radiance >= threshold, self._radiance, 0.0)
+        cumulative = np.cumsum(direct.sum(axis=1) * texels.area.astype(np.float64))
+        if not cumulative[-1] > 0.0:
+            return np.zeros(0, dtype=np.int64)
+        pattern = stratified_pattern(settings.num_samples, settings.seed)
+        return np.asarray(np.searchsorted(cumulative, pattern * cumulative[-1], side="right"), dtype=np.int64)
+
+    def radiance_of(self, texel: NDArray[np.int64], channel: int) -> NDArray[np.float64]:
+        """See `reflections.TexelPicker`."""
+        return np.asarray(self._radiance[texel, channel])
 
     def integrate(self, centres: NDArray[np.float64], alive: NDArray[np.bool_]) -> ValSums:
         """See `StageBackend`."""

@@ -94,3 +94,19 @@ def test_triangles_without_texel_show_their_neighbours() -> None:
     # No area is lost, and no direction is dark.
     assert texels.area.sum(dtype=np.float64) == pytest.approx(2 * (6 * 3 + 3 * 4 + 6 * 4), rel=1e-6)
     assert (ProbeRays(mesh, texels).trace(np.array([2.137, 1.211, 1.683]), 16) >= 0).all()
+
+
+def test_sees_what_brute_force_sees(furnished_room: RoomMesh, texels: TexelGeometry) -> None:
+    centre = np.array([1.413, 1.127, 1.571])
+    targets = np.random.default_rng(3).uniform((0.1, 0.1, 0.1), (2.9, 2.3, 2.9), (400, 3))
+    _, distance = first_face(furnished_room, np.broadcast_to(centre, targets.shape), targets - centre)
+    assert 20 < np.count_nonzero(distance < 1.0) < 380
+    np.testing.assert_array_equal(ProbeRays(furnished_room, texels).sees(centre, targets), distance >= 1.0)
+
+
+def test_a_point_on_a_surface_is_seen(furnished_room: RoomMesh, texels: TexelGeometry) -> None:
+    centre = np.array([0.6, 1.0, 0.6])
+    directions = cube_directions(4)
+    face, distance = first_face(furnished_room, np.broadcast_to(centre, directions.shape), directions)
+    points = centre + distance[face >= 0, None] * directions[face >= 0]
+    assert ProbeRays(furnished_room, texels).sees(centre, points).all()

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from nearfield_server.pipeline.auto_split import AutoSplit, auto_threshold
+from nearfield_server.pipeline.auto_split import AutoSplit, ReflectionTest, auto_threshold
 from nearfield_server.pipeline.blocks import BlockPool
 from nearfield_server.pipeline.split import fixed_point_scale, radiance_histogram
 
@@ -104,12 +104,17 @@ def test_a_new_dimmer_lamp_lowers_the_threshold(pool: BlockPool) -> None:
     np.testing.assert_array_equal(direct, lamp >= 0)
 
 
-def _choose(split: AutoSplit, radiance: np.ndarray, area: np.ndarray, pool: BlockPool) -> np.ndarray:
+def _choose(
+    split: AutoSplit,
+    radiance: np.ndarray,
+    area: np.ndarray,
+    pool: BlockPool,
+    is_reflected: ReflectionTest | None = None,
+) -> np.ndarray:
     total_area = float(area.sum(dtype=np.float64))
     scale = fixed_point_scale(float(radiance.max(initial=0.0)), total_area)
-    return split.choose(
-        radiance_histogram(radiance, area, scale, -(-area.size // 64), pool), scale, total_area
-    )
+    histogram = radiance_histogram(radiance, area, scale, -(-area.size // 64), pool)
+    return split.choose(histogram, scale, total_area, is_reflected)
 
 
 def test_the_way_back_leads_to_the_same_threshold(pool: BlockPool) -> None:
@@ -138,3 +143,52 @@ def test_switching_off_forgets_the_threshold(pool: BlockPool) -> None:
     before, area, _ = _room([(80.0, 0.005)])
     previous = _auto(before, area, pool)
     assert np.isinf(_auto(_room([])[0], area, pool, previous)).all()
+
+
+def test_the_lowest_class_is_left_out_when_it_only_reflects(pool: BlockPool) -> None:
+    radiance, area, lamp = _room([(60.0, 0.005), (12.0, 0.02)])
+    questions = []
+
+    def reflects(channel: int, upper: float, lower: float, energy: float, area_above: float) -> bool:
+        questions.append(channel)
+        assert 12.0 < upper <= 60.0
+        assert 4.0 < lower <= 12.0
+        assert energy == pytest.approx(60.0 * 0.005 * area.sum(), rel=1e-3)
+        # The histogram knows radiance to the width of a level.
+        assert area_above == pytest.approx(0.005 * area.sum(), rel=0.05)
+        return True
+
+    direct = radiance >= _choose(AutoSplit(), radiance, area, pool, reflects)
+    np.testing.assert_array_equal(direct, np.repeat((lamp == 0)[:, None], 3, axis=1))
+    assert questions == [0, 1, 2]
+
+
+def test_a_class_between_two_sources_stays(pool: BlockPool) -> None:
+    """One threshold cannot leave it out without losing the dimmer source."""
+    radiance, area, lamp = _room([(1000.0, 0.001), (100.0, 0.01), (14.0, 0.03)])
+    threshold = _choose(AutoSplit(), radiance, area, pool, lambda _, upper, *rest: upper > 100.0)
+    np.testing.assert_array_equal(radiance[:, 0] >= threshold[0], lamp >= 0)
+
+
+def test_the_brightest_class_is_a_source_whatever_the_test_says(pool: BlockPool) -> None:
+    radiance, area, lamp = _room([(50.0, 0.005)])
+    threshold = _choose(AutoSplit(), radiance, area, pool, lambda *_: True)
+    np.testing.assert_array_equal(radiance[:, 0] >= threshold[0], lamp == 0)
+
+
+def test_a_refused_class_is_asked_about_once_per_light(pool: BlockPool) -> None:
+    radiance, area, _ = _room([(60.0, 0.005), (12.0, 0.02)])
+    questions = []
+
+    def reflects(channel: int, *_: float) -> bool:
+        questions.append(channel)
+        return True
+
+    split, rng = AutoSplit(), np.random.default_rng(5)
+    first = _choose(split, radiance, area, pool, reflects)
+    for _ in range(10):
+        noisy = (radiance * (1.0 + 0.01 * rng.normal(size=radiance.shape))).astype(np.float32)
+        np.testing.assert_array_equal(_choose(split, noisy, area, pool, reflects), first)
+    assert len(questions) == 3
+    _choose(split, radiance * np.float32(2.0), area, pool, reflects)
+    assert len(questions) == 6

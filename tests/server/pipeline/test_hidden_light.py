@@ -199,6 +199,35 @@ def test_surfaces_of_other_materials_are_told_apart(small_room: BoxRoom) -> None
         assert ceiling[members].all() or wall[members].all()
 
 
+def test_what_one_hidden_lamp_sends_to_the_receivers_of_another(small_room: BoxRoom) -> None:
+    """A thin lamp far from a receiver must not fall between the pixels of a cube."""
+    mesh = _mesh(small_room)
+    material = mesh.face_material.copy()
+    material[6:8] = 1
+    split = replace(
+        mesh, face_material=material, materials=("wall", "ceiling"), material_albedo=np.full((2, 3), ALBEDO)
+    )
+    position, normal = small_room.texels.position, small_room.texels.normal
+    wall = normal[:, 0] > 0.5
+    row = np.unique(position[wall, 1])[3]
+    strip = wall & (np.abs(position[:, 1] - row) < 1e-3)
+    found = find_hidden_light(split, small_room.texels, _lamp(small_room, 4.5, 2.0) | strip, small_room)
+    assert found is not None
+    assert found.num_groups == 2
+    texels, receiver = small_room.texels, found.receiver
+    for number in range(2):
+        members = found.texels[found.group == number]
+        offset = (
+            texels.position[members].astype(np.float64)[None]
+            - texels.position[receiver].astype(np.float64)[:, None]
+        )
+        squared = (offset**2).sum(axis=2)
+        cosines = np.maximum(np.einsum("rmi,ri->rm", offset, texels.normal[receiver]), 0.0)
+        cosines *= np.maximum(-np.einsum("rmi,mi->rm", offset, texels.normal[members]), 0.0)
+        expected = (cosines / squared**2 * texels.area[members]).sum(axis=1)
+        np.testing.assert_allclose(found.form_factor[:, number], expected, rtol=0.05, atol=1e-6)
+
+
 def test_nothing_hidden_gives_nothing(small_room: BoxRoom) -> None:
     none = np.zeros(small_room.texels.area.size, dtype=bool)
     assert find_hidden_light(_mesh(small_room), small_room.texels, none, small_room) is None
