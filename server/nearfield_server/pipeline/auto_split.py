@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from nearfield_server.pipeline.levels import LEVEL_SHIFT, LEVELS
 
+_LEVELS_PER_OCTAVE: Final = 1 << (23 - LEVEL_SHIFT)
 _GAP: Final = 5
 """Half width of a gap in levels: a factor 1.24 to either side."""
 
