@@ -55,6 +55,10 @@ def bench(
     report = run_parts(setup, names)
     console.print(summary(report))
     console.print(f"{out / 'bench.json'}", highlight=False)
+    # Draws with matplotlib, of the extra `bench`; the figures are written by now.
+    from nearfield_server.benchmark.report import write_page
+
+    console.print(f"{write_page(out, report)}", highlight=False)
     failed = failed_parts(report, names)
     for name, reason in failed.items():
         console.print(f"{name} failed: {reason}", highlight=False, style="red")

@@ -39,6 +39,9 @@ COMMANDS: dict[str, CommandEntry] = {
     "bench": CommandEntry(
         "nearfield_server.commands.bench", "bench", "Measure run time against error of every method."
     ),
+    "compare": CommandEntry(
+        "nearfield_server.commands.compare", "compare", "Put two benchmark runs side by side."
+    ),
     "lab": CommandEntry(
         "nearfield_server.virtual_lab.cli", "app", "Make path-traced rooms with known truth."
     ),
