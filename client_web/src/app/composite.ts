@@ -77,10 +77,13 @@ export async function takeComposite(
   return { ...compositeSize(view, quality), rgba }
 }
 
-/** Draws one frame of a tablet view in live quality without reading it back: to measure what a frame costs. */
+/** Draws one frame of a tablet view in live quality, and waits until it is drawn by reading it back: to measure what a frame costs. */
 export function drawFrame(viewer: Viewer, viewIndex: number): Promise<void> {
-  const live = { fullQuality: false, scale: 1 }
-  return viewer.drawView(viewIndex, live, async (renderer) => renderer.render(performance.now()))
+  return viewer.drawView(viewIndex, { fullQuality: false, scale: 1 }, async (renderer) => {
+    const report = renderer.render(performance.now())
+    renderer.readComposite()
+    return report
+  })
 }
 
 function compositeSize(

@@ -14,7 +14,7 @@ export interface NearfieldApi {
     viewIndex: number,
     quality?: CompositeQuality,
   ): Promise<{ width: number; height: number; data: string }>
-  /** Draws one frame of a tablet view in live quality, without reading it back. */
+  /** Draws one frame of a tablet view in live quality, of what is due in one frame; resolves when it is drawn. */
   drawViewFrame(viewIndex: number): Promise<void>
   changeMethod(settings: Partial<MethodSettings>): void
   setLightWeight(lightIndex: number, weight: number): void

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, Final
 
+from nearfield_server.benchmark.parts import PARTS
 from nearfield_server.benchmark.summary import METHOD_FIGURES
 
 DEFAULT_SPREAD: Final = 0.1
@@ -24,6 +25,9 @@ EXACT: Final = frozenset(
 """Figures that no clock takes part in: equal code gives equal values, so small changes count."""
 EXACT_SPREAD: Final = 0.005
 _SKIPPED: Final = frozenset({"rounds", "first_update_ms", "count"})
+
+_NAMES: Final = ("scene", "name", "lamp")
+"""What tells entries of a list apart."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -79,8 +83,9 @@ def only_in_one(before: dict[str, Any], after: dict[str, Any]) -> tuple[list[str
 
 def figures(report: dict[str, Any]) -> Iterator[tuple[str, float]]:
     """Every figure of a run by name: `server.gather...`, `methods.<bundle>.<method>.<lights>.<figure>`."""
-    for section in ("server", "client", "growth", "latency"):
-        yield from _numbers(section, report.get(section, {}))
+    for section in PARTS:
+        if section != "methods":
+            yield from _numbers(section, report.get(section, {}))
     rows = report.get("methods")
     for row in rows if isinstance(rows, list) else []:
         for key in METHOD_FIGURES:
@@ -97,6 +102,11 @@ def _numbers(prefix: str, value: Any) -> Iterator[tuple[str, float]]:
         for key, part in value.items():
             if key not in _SKIPPED and key not in ("scene", "machine", "spread"):
                 yield from _numbers(f"{prefix}.{key}", part)
+    elif isinstance(value, list):
+        for number, part in enumerate(value):
+            if isinstance(part, dict):
+                name = next((str(part[key]) for key in _NAMES if key in part), str(number))
+                yield from _numbers(f"{prefix}.{name}", part)
 
 
 def _spreads(report: dict[str, Any]) -> dict[str, float]:

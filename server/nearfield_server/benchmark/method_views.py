@@ -67,9 +67,10 @@ class MethodViews:
         return np.asarray(np.maximum(unlit + sum(picture - unlit for picture in pictures), 0.0))
 
     def frame_cpu_ms(self, view_index: int, lights: Sequence[MethodLight]) -> float:
-        """CPU milliseconds of the GPU process for one full frame in live quality at calibrated size.
+        """CPU milliseconds of the GPU process for one frame in live quality at calibrated size, after new light has arrived.
 
-        A full frame: new light has arrived, and at most 16 shadow maps are drawn. More than 64 lights take a frame per turn.
+        A frame draws at most 16 shadow maps, and only those of lights that moved: lights that stand still are cheaper. More than 64
+        lights take a frame per turn.
 
         Args:
             view_index: which view.

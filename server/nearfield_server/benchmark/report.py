@@ -114,6 +114,8 @@ def _page(out: Path, report: dict[str, Any], figures: dict[str, str]) -> str:
         _server(report["server"]),
         _client(report["client"]),
         _growth(report["growth"], figures),
+        "<h2>Steadiness in time</h2>",
+        _plain(report["temporal"]),
         "<h2>Latency</h2>",
         _plain(report["latency"]),
         "<h2>This run</h2>",
@@ -221,8 +223,18 @@ def _plain(value: Any) -> str:
     if isinstance(value, float):
         return number(value)
     if isinstance(value, list):
-        return ", ".join(_plain(item) for item in value)
+        return _list(value)
     return html.escape(str(value))
+
+
+def _list(values: list[Any]) -> str:
+    """Dictionaries as lines of one table, anything else in one line."""
+    if not values or not all(isinstance(value, dict) for value in values):
+        return ", ".join(_plain(value) for value in values)
+    columns = list(dict.fromkeys(key for value in values for key in value))
+    head = "".join(f"<th>{html.escape(str(key))}</th>" for key in columns)
+    lines = ("".join(f"<td>{_plain(value.get(key, ''))}</td>" for key in columns) for value in values)
+    return f"<table><tr>{head}</tr>{''.join(f'<tr>{line}</tr>' for line in lines)}</table>"
 
 
 def _rows(items: Iterable[tuple[str, Any]]) -> Iterable[str]:

@@ -117,7 +117,6 @@ class ClientPage:
                 window.nearfield.applyLightPacket(packet)
                 await window.nearfield.drawViewFrame(index)
               }
-              await window.nearfield.renderViewComposite(index, { fullQuality: false, scale: 1 })
             }""",
             [view_index, data],
         )

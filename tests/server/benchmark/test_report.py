@@ -52,10 +52,10 @@ def test_plots_are_files_of_their_own_with_the_methods_names_as_text(
 
 def test_a_run_without_any_part_still_has_a_page(tmp_path: Path, made_up_run: MakeRun) -> None:
     run = made_up_run()
-    for part in ("server", "client", "methods", "growth", "latency"):
+    for part in ("server", "client", "methods", "growth", "temporal", "latency"):
         run[part] = {"missing": f"{part} was not run"}
     text = write_page(tmp_path, run).read_text(encoding="utf-8")
-    assert text.count("was not run") == 5
+    assert text.count("was not run") == 6
     assert draw_plots(run) == {}
 
 
