@@ -14,6 +14,7 @@ from nearfield_server.geometry.probes import ProbeRays
 from nearfield_server.geometry.texels import rasterise_texels
 from nearfield_server.illumination.packet import PacketWriter
 from nearfield_server.pipeline.runner import LightPipeline
+from nearfield_server.radiometry.form_factor import val_irradiance
 from nearfield_server.records import (
     CameraFrame,
     GatherTable,
@@ -134,3 +135,43 @@ def test_packets_place_lights_within_half_a_step(scale: float, far: bool) -> Non
     error = np.abs(packet.vals["position"][lit].astype(np.float64) - update.vals["position"][lit])
     bound = packet.bounds_size / 131070.0 + np.spacing(np.abs(found.mesh.positions).max().astype(np.float32))
     assert (error <= bound).all()
+
+
+@pytest.mark.parametrize("scale", [0.05, 1.0, 50.0])
+def test_lights_stand_for_their_lamps_at_any_scale(scale: float) -> None:
+    """Irradiance of 16 VALs against the sum over all direct texels, RMS over places and directions: lengths cancel."""
+    room = make_box_room(size=tuple(scale * SIZE), atlas_size=128, num_cameras=2, camera_size=128)
+    field = lamp_field(room, LAMPS)
+    pipeline = LightPipeline(
+        room.mesh(), room.texels, room.table, LightSettings(), probe_rays=room, backend="cpu"
+    )
+    frames = [
+        CameraFrame(
+            camera_index=i, sequence=1, content_revision=1, timestamp_ns=1, pixels=room.picture(i, field)
+        )
+        for i in range(2)
+    ]
+    update = pipeline.update(frames, [])
+    direct = np.where(pipeline.texel_radiance >= update.threshold, pipeline.texel_radiance, 0.0)
+    lamp = np.flatnonzero(direct.any(axis=1))
+    normals = np.concatenate([np.eye(3), -np.eye(3)])
+    error = []
+    for point in room.size * np.random.default_rng(1).uniform(0.2, 0.8, (20, 3)):
+        offset = room.texels.position[lamp] - point
+        squared = np.einsum("ni,ni->n", offset, offset)
+        emitted = np.maximum(-(offset * room.texels.normal[lamp]).sum(axis=1), 0.0) / squared**2
+        weights = np.maximum(normals @ offset.T, 0.0) * emitted * room.texels.area[lamp]
+        exact = weights @ direct[lamp]
+        found = sum(
+            val_irradiance(
+                np.broadcast_to(point, normals.shape),
+                normals,
+                val["position"],
+                val["normal"],
+                val["radiant_intensity"],
+                float(val["area"]),
+            )
+            for val in update.vals
+        )
+        error.append(np.sqrt(np.mean((found - exact) ** 2)) / exact.mean())
+    assert np.mean(error) < 0.04
