@@ -26,6 +26,7 @@ _RELOCATION_GAIN: Final = 2.0
 _JUMP: Final = 0.25
 """Metres: a centre that moves further in one update is another light."""
 _CANDIDATES: Final = 8
+_POINTS_AT_ONCE: Final = 64
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -52,24 +53,53 @@ def empty_state(num_slots: int) -> ClusterState:
 
 
 @njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
-def _assign(points: Any, centres: Any, alive: Any, label: Any, nearest: Any, second: Any) -> float:
-    """Nearest living centre of each point, squared distances to the nearest and second nearest; returns their mean."""
+def _distances(columns: Any, first: int, count: int, centre: Any, distance: Any) -> None:
+    """Squared distances of some points to a centre. Unsigned indices: signed ones are tested, and not vectorised."""
+    c0, c1, c2, c3, c4, c5 = centre[0], centre[1], centre[2], centre[3], centre[4], centre[5]
+    for k in range(np.uintp(count)):
+        point = np.uintp(first) + k
+        total = (columns[0, point] - c0) * (columns[0, point] - c0)
+        total += (columns[1, point] - c1) * (columns[1, point] - c1)
+        total += (columns[2, point] - c2) * (columns[2, point] - c2)
+        total += (columns[3, point] - c3) * (columns[3, point] - c3)
+        total += (columns[4, point] - c4) * (columns[4, point] - c4)
+        total += (columns[5, point] - c5) * (columns[5, point] - c5)
+        distance[k] = total
+
+
+@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+def _assign(columns: Any, centres: Any, alive: Any, label: Any, nearest: Any, second: Any) -> float:
+    """Nearest living centre of each point, squared distances to the nearest and second nearest; returns their mean.
+
+    `columns` (6, S): one axis after the other, and a few points at a time, so that the loops over points run in vectors.
+    """
+    num_points = columns.shape[1]
+    distance = np.empty(_POINTS_AT_ONCE)
+    best, runner_up, owner = np.empty_like(distance), np.empty_like(distance), np.empty_like(distance)
+    distance[:] = np.inf
     total = 0.0
-    for k in range(points.shape[0]):
-        best, runner_up, best_slot = np.inf, np.inf, -1
+    for first in range(0, num_points, _POINTS_AT_ONCE):
+        count = min(_POINTS_AT_ONCE, num_points - first)
+        best[:] = np.inf
+        runner_up[:] = np.inf
+        owner[:] = -1.0
         for slot in range(centres.shape[0]):
-            if alive[slot]:
-                distance = 0.0
-                for axis in range(6):
-                    difference = points[k, axis] - centres[slot, axis]
-                    distance += difference * difference
-                if distance < best:
-                    runner_up, best, best_slot = best, distance, slot
-                elif distance < runner_up:
-                    runner_up = distance
-        label[k], nearest[k], second[k] = best_slot, best, runner_up
-        total += best
-    return float(total / points.shape[0])
+            if not alive[slot]:
+                continue
+            _distances(columns, first, count, centres[slot], distance)
+            for k in range(np.uintp(_POINTS_AT_ONCE)):
+                other = distance[k] if distance[k] > best[k] else best[k]
+                runner_up[k] = other if other < runner_up[k] else runner_up[k]
+                owner[k] = np.float64(slot) if distance[k] < best[k] else owner[k]
+                best[k] = distance[k] if distance[k] < best[k] else best[k]
+        for k in range(count):
+            label[first + k], nearest[first + k], second[first + k] = (
+                np.int64(owner[k]),
+                best[k],
+                runner_up[k],
+            )
+            total += best[k]
+    return float(total / num_points)
 
 
 @njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
@@ -103,6 +133,7 @@ class _Work:
 
     def __init__(self, points: NDArray[np.float64], state: ClusterState) -> None:
         self.points = points
+        self.columns = np.ascontiguousarray(points.T)
         self.centres = state.centres.copy()
         self.alive = state.alive.copy()
         self.generation = state.generation.copy()
@@ -111,7 +142,7 @@ class _Work:
         self.second = np.empty(points.shape[0])
 
     def assign(self) -> float:
-        return float(_assign(self.points, self.centres, self.alive, self.label, self.nearest, self.second))
+        return float(_assign(self.columns, self.centres, self.alive, self.label, self.nearest, self.second))
 
     def lloyd(self, iterations: int) -> float:
         for _ in range(iterations):
@@ -202,8 +233,9 @@ def update_clusters(state: ClusterState, points: NDArray[np.float64], iterations
         kept = work.assign()
         used = np.zeros_like(state.alive)
         used[work.label] = True
-        work.alive &= used
-        work.assign()
+        if not used[work.alive].all():
+            work.alive &= used
+            work.assign()
     else:
         work.nearest[:] = np.inf
         work.second[:] = np.inf
@@ -211,7 +243,8 @@ def update_clusters(state: ClusterState, points: NDArray[np.float64], iterations
     reseeded = not np.array_equal(work.alive, state.alive) or not np.array_equal(
         work.generation, state.generation
     )
-    work.assign()
+    if reseeded:
+        work.assign()
     # Slots that lost their last sample on the way are given out again, once.
     moved = work.lloyd(iterations)
     if work.alive.sum() < state.alive.shape[0]:

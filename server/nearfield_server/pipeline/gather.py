@@ -114,23 +114,28 @@ def _accumulate_block(
         # The pixels of the next block of the same camera: far enough ahead for memory, and lower rows come as upper ones.
         ahead = segment_start[after * num_cameras + camera]
         ahead_last = segment_start[after * num_cameras + camera + 1]
-        for k in range(first, last):
+        for k in range(np.uintp(first), np.uintp(last)):
             if ahead < ahead_last:
-                prefetch(base + np.int64(target[ahead] >> np.uint32(TEXEL_BITS)) * _PIXEL_BYTES)
+                prefetch(base + np.int64(target[np.uintp(ahead)] >> np.uint32(TEXEL_BITS)) * _PIXEL_BYTES)
                 ahead += 1
-            upper = base + np.int64(target[k] >> np.uint32(TEXEL_BITS)) * _PIXEL_BYTES
-            slot = np.int64(target[k] & np.uint32(BLOCK - 1))
+            pair = target[k]
+            upper = base + np.int64(pair >> np.uint32(TEXEL_BITS)) * _PIXEL_BYTES
+            slot = np.int64(pair & np.uint32(BLOCK - 1))
             accumulate_pair(
-                upper, upper + pitch, tap_address + k * TAP_BYTES, accumulators + slot * ACCUMULATOR_BYTES
+                upper,
+                upper + pitch,
+                tap_address + np.int64(k) * TAP_BYTES,
+                accumulators + slot * ACCUMULATOR_BYTES,
             )
 
 
 @njit(cache=True, nogil=True, inline="always")  # type: ignore[untyped-decorator]
 def _count_energy(energy: Any, red: Any, green: Any, blue: Any, weight: float, sign: int) -> None:
     amounts = to_fixed_point(red, green, blue, weight)
-    energy[0, np.int64(float_bits(red) >> np.uint32(LEVEL_SHIFT))] += sign * amounts[0]
-    energy[1, np.int64(float_bits(green) >> np.uint32(LEVEL_SHIFT))] += sign * amounts[1]
-    energy[2, np.int64(float_bits(blue) >> np.uint32(LEVEL_SHIFT))] += sign * amounts[2]
+    # Unsigned: numba tests signed indices for being negative, which would cost as much as the rest.
+    energy[0, np.uintp(float_bits(red) >> np.uint32(LEVEL_SHIFT))] += sign * amounts[0]
+    energy[1, np.uintp(float_bits(green) >> np.uint32(LEVEL_SHIFT))] += sign * amounts[1]
+    energy[2, np.uintp(float_bits(blue) >> np.uint32(LEVEL_SHIFT))] += sign * amounts[2]
 
 
 @njit(cache=True, nogil=True, fastmath=FASTMATH)  # type: ignore[untyped-decorator]
@@ -166,11 +171,12 @@ def _gather_blocks(
         )
         high0, high1, high2 = np.float32(0.0), np.float32(0.0), np.float32(0.0)
         is_changed = False
-        for texel in range(block * BLOCK, min((block + 1) * BLOCK, area.shape[0])):
+        first_texel = np.uintp(block * BLOCK)
+        for slot in range(np.uintp(min(BLOCK, area.shape[0] - block * BLOCK))):
+            texel = first_texel + slot
             old0, old1, old2 = radiance[texel, 0], radiance[texel, 1], radiance[texel, 2]
             if seen[texel]:
-                slot = accumulators + (texel - block * BLOCK) * ACCUMULATOR_BYTES
-                new0, new1, new2 = take_blend(slot)
+                new0, new1, new2 = take_blend(accumulators + np.int64(slot) * ACCUMULATOR_BYTES)
                 weight = np.float64(area[texel]) * scale
                 if old0 != new0 or old1 != new1 or old2 != new2:
                     is_changed = True

@@ -26,6 +26,7 @@ from nearfield_server.pipeline.sampling import direct_weight
 # Columns of the sums: I (3), grey weight, weight * position (3), weight * normal (3), weight * dA,
 # weight * position_i * position_j (xx, yy, zz, xy, yz, zx).
 _COLUMNS: Final = 17
+_BLOCKS_PER_CHUNK: Final = 256
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -176,7 +177,7 @@ def integrate(
     sums = np.zeros((num_slots, _COLUMNS))
     if living.size:
         direct = direct_blocks(block_max, threshold)
-        num_chunks = num_chunks_for(direct.size)
+        num_chunks = num_chunks_for(direct.size, _BLOCKS_PER_CHUNK)
         partial = np.zeros((num_chunks, living.size, _COLUMNS))
         pool.run(
             _integrate_blocks,

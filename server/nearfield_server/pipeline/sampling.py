@@ -6,13 +6,16 @@ The pattern is stratified and fixed, so equal input gives equal samples. The cum
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
 from nearfield_server.pipeline.blocks import BLOCK, BlockPool, direct_blocks, num_chunks_for
+
+_BLOCKS_PER_CHUNK: Final = 2048
+"""A thread is woken in the time that this many blocks take."""
 
 
 def stratified_pattern(num_samples: int, seed: int) -> NDArray[np.float64]:
@@ -105,7 +108,7 @@ def sample_direct_texels(
         area,
         threshold,
         weights,
-        num_chunks=num_chunks_for(blocks.size),
+        num_chunks=num_chunks_for(blocks.size, _BLOCKS_PER_CHUNK),
     )
     cumulative = np.cumsum(weights)
     total = float(cumulative[-1]) if cumulative.size else 0.0
