@@ -8,7 +8,8 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from nearfield_server.pipeline.blocks import BlockPool
-from nearfield_server.pipeline.gather import gather, pack_gather_table
+from nearfield_server.pipeline.gather import black_atlas, gather
+from nearfield_server.pipeline.packed_table import group_by_block, pack_gather_table
 from nearfield_server.radiometry.half import HALF_MAX
 from nearfield_server.records import GatherTable
 
@@ -38,11 +39,10 @@ def tables(draw: st.DrawFn) -> GatherTable:
 
 
 def _gather(table: GatherTable, pixels: np.ndarray) -> np.ndarray:
-    count = table.pair_start.size - 1
-    radiance, maxima = np.empty((count, 3), np.float32), np.empty((1, 3), np.float32)
-    gather(pack_gather_table(table), [pixels[0], pixels[1]], radiance, maxima, BlockPool(1))
-    np.testing.assert_array_equal(maxima[0], radiance.max(axis=0))
-    return radiance
+    atlas = black_atlas(np.ones(table.pair_start.size - 1, dtype=np.float32))
+    gather(group_by_block(pack_gather_table(table)), [pixels[0], pixels[1]], atlas, BlockPool(1))
+    np.testing.assert_array_equal(atlas.block_max[0], atlas.radiance.max(axis=0))
+    return atlas.radiance
 
 
 def _neighbourhood(table: GatherTable, texel: int) -> list[tuple[int, int, int]]:
