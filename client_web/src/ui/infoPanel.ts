@@ -3,7 +3,7 @@ import { element, setText } from './dom'
 import { bytes, duration, milliseconds, perSecond, share } from './format'
 import { strings } from './strings'
 import { type WorkItem, workSection } from './workSection'
-import { passName, passReason, stageName } from './workWords'
+import { passName, passReason, stageName, stageReason } from './workWords'
 
 export interface PassReport {
   readonly name: string
@@ -31,7 +31,8 @@ export interface InfoPanel {
   set(numbers: InfoNumbers): void
 }
 
-export function infoPanel(): InfoPanel {
+/** @param objectNames of the scene, as people read them. */
+export function infoPanel(objectNames: readonly string[]): InfoPanel {
   const list = element('dl', { className: 'numbers' })
   const field = (label: string): HTMLElement => {
     const value = element('dd', {}, strings.info.unknown)
@@ -64,7 +65,10 @@ export function infoPanel(): InfoPanel {
       setText(saved, work ? duration(work.savedMs) : strings.info.unknown)
       setText(savedTotal, work ? savedSinceStart(work) : strings.info.unknown)
       setText(error, work ? errorAdded(work.errorBound) : strings.info.unknown)
-      server.set((work?.stages ?? []).map(stageItem), work?.ageMs ?? null)
+      server.set(
+        (work?.stages ?? []).map((stage) => stageItem(stage, objectNames)),
+        work?.ageMs ?? null,
+      )
       device.set(numbers.passes.map(passItem), null)
     },
   }
@@ -79,8 +83,9 @@ function errorAdded(bound: number): string {
   return bound > 0 ? strings.info.atMost(share(bound)) : strings.info.noError
 }
 
-function stageItem(stage: StageWork): WorkItem {
-  const { savedMs, reason } = stage
+function stageItem(stage: StageWork, objectNames: readonly string[]): WorkItem {
+  const { savedMs } = stage
+  const reason = stageReason(stage.reason, objectNames)
   return {
     name: stageName(stage.name),
     ran: stage.ran,

@@ -2,7 +2,7 @@
 import type { SceneDescription } from '../state/sceneDescription'
 import { type Segmented, segmented } from './controls'
 import { element, setText } from './dom'
-import { withAge } from './format'
+import { readableName, withAge } from './format'
 import { type InfoNumbers, type InfoPanel, infoPanel } from './infoPanel'
 import { type LampPanel, lampPanel } from './lampPanel'
 import { Overlay, Toasts } from './messages'
@@ -111,7 +111,7 @@ export class SceneControls {
     this.#lamps = lampPanel(scene.lights, (index, weight) => actions.setLightWeight(index, weight))
     this.#objects = objectPanel(scene.objects, actions)
     this.#picture = picturePanel((change) => actions.changePicture(change))
-    this.#info = infoPanel()
+    this.#info = infoPanel(scene.objects.map((each) => readableName(each.name)))
     this.sheet = new Sheet(
       [
         { label: strings.lamps.tab, icon: 'lamp', content: this.#lamps.element },

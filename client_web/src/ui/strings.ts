@@ -65,6 +65,7 @@ export const strings = {
     skippedCount: (count: number) => `${count} skipped`,
     unchanged: 'unchanged',
     changed: (inputs: string) => `changed: ${inputs}`,
+    object: (number: number) => `object ${number}`,
     saved: (reason: string, time: string) => `${reason}, saved ${time}`,
     stages: {
       gather: 'Light from the cameras',

@@ -1,5 +1,5 @@
 import { describe, expect, it } from 'vitest'
-import { passName, passReason, stageName } from './workWords'
+import { passName, passReason, stageName, stageReason } from './workWords'
 
 describe('words for work', () => {
   it('names what is known and keeps the rest readable', () => {
@@ -13,5 +13,13 @@ describe('words for work', () => {
     expect(passReason('inputs unchanged')).toBe('unchanged')
     expect(passReason('changed: gbuffer, light data')).toBe('changed: visible surfaces, area lights')
     expect(passReason('first frame')).toBe('first frame')
+  })
+
+  it('calls objects by name', () => {
+    expect(stageReason('objects [0] moved', ['Bunny', 'Dragon'])).toBe('Bunny moved')
+    expect(stageReason('new light around objects [0, 1, 2]', ['Bunny', 'Dragon'])).toBe(
+      'new light around Bunny, Dragon, object 3',
+    )
+    expect(stageReason('new pictures', ['Bunny'])).toBe('new pictures')
   })
 })

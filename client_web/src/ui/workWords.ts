@@ -23,3 +23,13 @@ export function passReason(reason: string): string {
   const inputs = reason.slice(CHANGED.length).split(', ')
   return strings.work.changed(inputs.map((input) => passName(input).toLowerCase()).join(', '))
 }
+
+/** Why a stage of the server ran: it counts objects from 0, people call them by name. */
+export function stageReason(reason: string, objectNames: readonly string[]): string {
+  return reason.replace(/objects \[([\d, ]*)\]/, (_, indices: string) =>
+    indices
+      .split(', ')
+      .map((index) => objectNames[Number(index)] ?? strings.work.object(Number(index) + 1))
+      .join(', '),
+  )
+}

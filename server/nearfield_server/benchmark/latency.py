@@ -105,10 +105,10 @@ def measure_latency(quick: bool, progress: Progress, *, room: Path | None = None
     progress(f"latency: packets of {folder.name} at {FRAME_RATE:g} pictures per second")
     sequence = liveliest_sequence(folder)
     with running_service(folder, "--rate", f"{FRAME_RATE:g}", "--sequence", sequence) as url:
-        packets = packet_latencies(url, 60 if quick else 240)
+        packets = packet_latencies(url, 50 if quick else 220)
     progress("latency: from the lamp's switch to the pixel")
     with running_service(folder) as url:
-        switches = switch_latencies(url, 6 if quick else 24)
+        switches = switch_latencies(url, 5 if quick else 20)
     return {"capture_to_packet_ms": summarise(packets), "switch_to_pixel_ms": summarise(switches)}
 
 
