@@ -86,8 +86,9 @@ class AutoSplit:
     def __init__(self) -> None:
         self._threshold = np.full(3, np.inf, dtype=np.float32)
         self._chosen_at = np.zeros(3)
-        # Radiance of cuts that were refused in the present light, per channel.
+        # Radiance of cuts that were refused or believed in the present light, per channel.
         self._refused: list[list[float]] = [[], [], []]
+        self._believed: list[list[float]] = [[], [], []]
 
     def choose(
         self,
@@ -113,7 +114,7 @@ class AutoSplit:
         threshold = np.full(3, np.inf, dtype=np.float32)
         for channel in range(3):
             if changed[channel]:
-                self._refused[channel] = []
+                self._refused[channel], self._believed[channel] = [], []
             levels = _levels(histogram[channel], scale * total_area)
             if levels is not None:
                 energy = float(total[channel]), total_area
@@ -137,12 +138,15 @@ class AutoSplit:
         while is_reflected is not None and len(cuts) > 1:
             lower, upper = cuts[-1], cuts[-2]
             cut = float(levels.radiance[lower])
+            if any(_is_same_cut(cut, believed) for believed in self._believed[channel]):
+                break
             if not any(_is_same_cut(cut, refused) for refused in self._refused[channel]):
                 above = (
                     float(levels.energy_above[upper]) * total,
                     float(levels.area_above[upper]) * total_area,
                 )
                 if not is_reflected(channel, float(levels.radiance[upper]), cut, *above):
+                    self._believed[channel].append(cut)
                     break
                 self._refused[channel].append(cut)
             cuts = cuts[:-1]

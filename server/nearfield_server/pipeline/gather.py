@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numba import njit
@@ -30,7 +30,8 @@ from nearfield_server.pipeline.vector_ops import (
 )
 from nearfield_server.radiometry.half import float_bits, prefetch
 
-_PIXEL_BYTES = 8
+_PIXEL_BYTES: Final = 8
+_RADIANCE_BYTES: Final = 12
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -38,7 +39,7 @@ class Atlas:
     """Radiance of all texels and what is known about it. The arrays are written to by the stages that own it.
 
     Attributes:
-        radiance: (N, 3) float32 >= 0.
+        radiance: (N, 3) float32 >= 0, with four readable bytes behind it (`black_atlas`).
         block_max: (B, 3) float32, largest radiance of each block.
         energy: (3, LEVELS) int64, sum of L dA by level of radiance, times `energy_scale`.
         energy_scale: power of two, see `levels.energy_scale`.
@@ -56,7 +57,8 @@ def black_atlas(area: NDArray[np.float32]) -> Atlas:
     """An atlas of (N,) texels without light."""
     num_blocks = -(-area.shape[0] // BLOCK)
     return Atlas(
-        radiance=np.zeros((area.shape[0], 3), dtype=np.float32),
+        # One float more than needed: the kernel reads four floats per texel.
+        radiance=np.zeros(3 * area.shape[0] + 1, dtype=np.float32)[:-1].reshape(-1, 3),
         block_max=np.zeros((num_blocks, 3), dtype=np.float32),
         energy=np.zeros((3, LEVELS), dtype=np.int64),
         energy_scale=energy_scale(area),
@@ -161,7 +163,7 @@ def _gather_blocks(
 ) -> None:
     buffer = np.zeros((BLOCK + 1) * ACCUMULATOR_BYTES // 4, dtype=np.float32)
     accumulators = (buffer.ctypes.data + ACCUMULATOR_BYTES - 1) // ACCUMULATOR_BYTES * ACCUMULATOR_BYTES
-    tap_address = taps.ctypes.data
+    tap_address, radiance_address = taps.ctypes.data, radiance.ctypes.data
     levels = energy[chunk]
     for position in range(first, last):
         block = blocks[position]
@@ -170,26 +172,27 @@ def _gather_blocks(
             block, after, num_cameras, segment_start, target, tap_address, address, stride, accumulators
         )
         high0, high1, high2 = np.float32(0.0), np.float32(0.0), np.float32(0.0)
-        is_changed = False
+        change = np.uint8(0)
         first_texel = np.uintp(block * BLOCK)
         for slot in range(np.uintp(min(BLOCK, area.shape[0] - block * BLOCK))):
             texel = first_texel + slot
             old0, old1, old2 = radiance[texel, 0], radiance[texel, 1], radiance[texel, 2]
             if seen[texel]:
-                new0, new1, new2 = take_blend(accumulators + np.int64(slot) * ACCUMULATOR_BYTES)
+                new0, new1, new2, differs = take_blend(
+                    accumulators + np.int64(slot) * ACCUMULATOR_BYTES,
+                    radiance_address + np.int64(texel) * _RADIANCE_BYTES,
+                )
+                change |= differs
                 weight = np.float64(area[texel]) * scale
-                if old0 != new0 or old1 != new1 or old2 != new2:
-                    is_changed = True
-                    radiance[texel, 0], radiance[texel, 1], radiance[texel, 2] = new0, new1, new2
-                    if is_partial:
-                        _count_energy(levels, old0, old1, old2, weight, -1)
-                        _count_energy(levels, new0, new1, new2, weight, 1)
                 if not is_partial:
+                    _count_energy(levels, new0, new1, new2, weight, 1)
+                elif differs:
+                    _count_energy(levels, old0, old1, old2, weight, -1)
                     _count_energy(levels, new0, new1, new2, weight, 1)
                 old0, old1, old2 = new0, new1, new2
             high0, high1, high2 = max(high0, old0), max(high1, old1), max(high2, old2)
         block_max[block, 0], block_max[block, 1], block_max[block, 2] = high0, high1, high2
-        changed[block] = is_changed
+        changed[block] = change != 0
 
 
 def gather(

@@ -17,7 +17,7 @@ from nearfield_server.pipeline.levels import LEVELS, level_energy
 class HiddenTexels:
     """Keeps the radiance of hidden surfaces in the atlas true.
 
-    The estimate depends on seen texels alone, so that leaving it out while their blocks are as they were changes nothing.
+    The estimate is a function of the radiance in some blocks, so that leaving it out while they are as they were changes nothing.
     """
 
     def __init__(self, hidden: HiddenLight, num_blocks: int) -> None:
@@ -44,7 +44,8 @@ class HiddenTexels:
         touched = write_hidden_radiance(texels, self._hidden.group, values, atlas.radiance, atlas.block_max)
         if touched.any():
             self.energy = level_energy(atlas.radiance[texels], atlas.area[texels], atlas.energy_scale)
-        self._is_settled = True
+        # What one hidden lamp throws on the receivers of another makes its light an input of the next estimate.
+        self._is_settled = not (touched & self.input_blocks).any()
         changed |= touched
 
 

@@ -23,6 +23,7 @@ _F32: Final = ir.FloatType()
 _F64: Final = ir.DoubleType()
 _I32: Final = ir.IntType(32)
 _I64: Final = ir.IntType(64)
+_I4: Final = ir.IntType(4)
 _HALF8: Final = ir.VectorType(ir.HalfType(), 8)
 _F32X8: Final = ir.VectorType(_F32, 8)
 _F32X4: Final = ir.VectorType(_F32, 4)
@@ -80,9 +81,17 @@ def accumulate_pair(typingctx: Any, upper: Any, lower: Any, taps: Any, accumulat
 
 
 @intrinsic  # type: ignore[untyped-decorator]
-def take_blend(typingctx: Any, accumulator: Any) -> Any:
-    """(r, g, b) float32 of an accumulator divided by its valid weight, 0 without any; the accumulator is cleared."""
-    triple = types.UniTuple(types.float32, 3)
+def take_blend(typingctx: Any, accumulator: Any, texel: Any) -> Any:
+    """Write the colour of an accumulator divided by its valid weight, 0 without any, to a texel, and clear the accumulator.
+
+    Args of the call in a kernel, int64 addresses:
+        accumulator: `ACCUMULATOR_BYTES`, aligned.
+        texel: three float32; four are read.
+
+    Returns:
+        (r, g, b) float32 and whether one of them is another than before, as uint8.
+    """
+    result = types.Tuple((types.float32, types.float32, types.float32, types.uint8))
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         source = builder.inttoptr(args[0], _F32X8.as_pointer())
@@ -92,16 +101,23 @@ def take_blend(typingctx: Any, accumulator: Any) -> Any:
         weight = builder.extract_element(folded, _I32(3))
         zero, one = ir.Constant(_F32, 0.0), ir.Constant(_F32, 1.0)
         scale = builder.select(builder.fcmp_ordered(">", weight, zero), builder.fdiv(one, weight), zero)
-        return _triple(context, builder, triple, lambda lane: builder.extract_element(folded, lane), scale)
+        factor = builder.insert_element(ir.Constant(_F32X4, ir.Undefined), scale, _I32(0))
+        colour = builder.fmul(folded, _shuffle(builder, factor, [0] * 4))
+        old = builder.load(builder.inttoptr(args[1], _F32X4.as_pointer()), align=4)
+        differs = builder.bitcast(builder.fcmp_unordered("!=", colour, old), _I4)
+        differs = builder.icmp_unsigned("!=", builder.and_(differs, _I4(7)), _I4(0))
+        builder.store(
+            _shuffle(builder, colour, [0, 1]),
+            builder.inttoptr(args[1], ir.VectorType(_F32, 2).as_pointer()),
+            align=4,
+        )
+        blue = builder.extract_element(colour, _I32(2))
+        builder.store(blue, builder.inttoptr(builder.add(args[1], _I64(8)), _F32.as_pointer()), align=4)
+        members = [builder.extract_element(colour, _I32(lane)) for lane in range(2)]
+        members += [blue, builder.zext(differs, ir.IntType(8))]
+        return context.make_tuple(builder, result, members)
 
-    return triple(types.int64), codegen
-
-
-def _triple(context: Any, builder: Any, kind: Any, component: Any, scale: Any) -> Any:
-    result = context.get_constant_undef(kind)
-    for lane in range(3):
-        result = builder.insert_value(result, builder.fmul(component(_I32(lane)), scale), lane)
-    return result
+    return result(types.int64, types.int64), codegen
 
 
 @intrinsic  # type: ignore[untyped-decorator]

@@ -192,3 +192,21 @@ def test_a_refused_class_is_asked_about_once_per_light(pool: BlockPool) -> None:
     assert len(questions) == 3
     _choose(split, radiance * np.float32(2.0), area, pool, reflects)
     assert len(questions) == 6
+
+
+def test_a_believed_class_is_asked_about_once_per_light(pool: BlockPool) -> None:
+    radiance, area, lamp = _room([(60.0, 0.005), (12.0, 0.02)])
+    questions = []
+
+    def is_source(*question: float) -> bool:
+        questions.append(question[0])
+        return False
+
+    split, rng = AutoSplit(), np.random.default_rng(6)
+    for _ in range(5):
+        noisy = (radiance * (1.0 + 0.01 * rng.normal(size=radiance.shape))).astype(np.float32)
+        threshold = _choose(split, noisy, area, pool, is_source)
+        np.testing.assert_array_equal(radiance[:, 0] >= threshold[0], lamp >= 0)
+    assert questions == [0, 1, 2]
+    _choose(split, radiance * np.float32(0.5), area, pool, is_source)
+    assert questions == [0, 1, 2, 0, 1, 2]
