@@ -58,8 +58,8 @@ demo: setup  ## start the service on the embedded virtual lab and print its addr
 
 test: setup lint unit  ## everything that CI runs
 
-bench: setup  ## run time against error of every method, on this machine: writes out/bench (about 40 minutes)
-	$(BIN)/nearfield bench --out out/bench
+bench: setup  ## run time against error of every method, on this machine: writes out/bench (about 40 minutes); BUNDLES=... for more rooms
+	$(BIN)/nearfield bench --out out/bench $(BUNDLES)
 
 lint: $(PYTHON_STAMP) $(NODE_STAMP)  ## style, types, layering, generated files
 	$(BIN)/ruff format --check .

@@ -10,7 +10,7 @@ import json
 import tempfile
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from nearfield_server.benchmark.assembly_files import write_json
 from nearfield_server.benchmark.flicker import flicker, val_movement_mm
-from nearfield_server.benchmark.method_packets import MethodPackets
+from nearfield_server.benchmark.method_packets import MAX_LIGHTS, MethodPackets
 from nearfield_server.benchmark.method_scene import MethodScene, load_method_scene
 from nearfield_server.benchmark.method_views import MethodViews, open_views
 from nearfield_server.benchmark.methods import METHODS, MethodEntry
@@ -51,7 +51,7 @@ class SweepPlan:
         light_counts: of those that a method has, which are measured; methods without a choice take part always.
         num_noisy: pictures of the noisy sequence.
         max_views: views that are judged.
-        num_frames: full frames that are timed.
+        num_frames: frames that are timed; with more than 64 lights one, which takes many turns already.
     """
 
     light_counts: tuple[int, ...]
@@ -65,8 +65,12 @@ class SweepPlan:
             return entry.light_counts
         return tuple(count for count in entry.light_counts if count in self.light_counts)
 
+    def frames_of(self, lights: int) -> int:
+        """Frames that are timed with a number of lights."""
+        return self.num_frames if lights <= MAX_LIGHTS else 1
 
-FULL: Final = SweepPlan(light_counts=(8, 16, 32, 64, 128, 256, 512), num_noisy=9, max_views=8, num_frames=4)
+
+FULL: Final = SweepPlan(light_counts=(8, 16, 32, 64, 128, 256, 512), num_noisy=9, max_views=8, num_frames=3)
 QUICK: Final = SweepPlan(light_counts=(16,), num_noisy=4, max_views=3, num_frames=2)
 TINY: Final = SweepPlan(light_counts=(8, 128), num_noisy=2, max_views=1, num_frames=1)
 
@@ -84,7 +88,7 @@ def methods_section(setup: BenchSetup) -> list[dict[str, Any]]:
         ServiceError: the client is not built, there is no browser, or the page fails.
     """
     plan = plan_of(setup)
-    rows = _KeptRows(setup.out / "methods.json", setup.resume)
+    rows = _KeptRows(setup.out / "methods.json", plan, setup.backend, setup.resume)
     for path in setup.bundles:
         setup.say(f"  bundle {path.name}")
         scene = load_method_scene(
@@ -113,19 +117,22 @@ def methods_section(setup: BenchSetup) -> list[dict[str, Any]]:
 class _KeptRows:
     """Rows, and the file that holds them from row to row."""
 
-    def __init__(self, path: Path, resume: bool) -> None:
+    def __init__(self, path: Path, plan: SweepPlan, backend: str, resume: bool) -> None:
         self._path = path
+        self._settings = {**asdict(plan), "light_counts": list(plan.light_counts), "backend": backend}
         self.pictures = path.parent / PICTURES
         self.rows: list[dict[str, Any]] = []
         if resume and path.is_file():
-            self.rows = json.loads(path.read_text(encoding="utf-8"))["rows"]
+            former = json.loads(path.read_text(encoding="utf-8"))
+            if former["settings"] == self._settings:
+                self.rows = former["rows"]
 
     def has(self, bundle: str, name: str, lights: int) -> bool:
         return any((row["bundle"], row["name"], row["lights"]) == (bundle, name, lights) for row in self.rows)
 
     def add(self, row: dict[str, Any]) -> None:
         self.rows.append(row)
-        write_json(self._path, {"rows": self.rows})
+        write_json(self._path, {"settings": self._settings, "rows": self.rows})
 
 
 def _measure_transfer(
@@ -183,7 +190,7 @@ def _measure(
     first_view = scene.views[0][0]
     _keep_picture(pictures / f"{scene.bundle.name}_{name}_{lights}.jpg", composites[0], scene.exposure)
     stills = [views.composite(first_view, moment, full_quality=False) for moment in noisy]
-    frames = [noisy[number % len(noisy)] for number in range(plan.num_frames)]
+    frames = [noisy[number % len(noisy)] for number in range(plan.frames_of(lights))]
     return {
         "bundle": scene.bundle.name,
         "name": name,

@@ -12,7 +12,7 @@ from nearfield_server.benchmark import plots
 from nearfield_server.benchmark.method_sweep import PICTURES
 from nearfield_server.benchmark.methods import METHODS
 from nearfield_server.benchmark.paper_times import PAPER_STAGE_MS
-from nearfield_server.benchmark.summary import METHOD_FIGURES, number
+from nearfield_server.benchmark.summary import METHOD_FIGURES, markdown_table, number
 from nearfield_server.errors import AssetError
 
 _STYLE: Final = """
@@ -69,7 +69,7 @@ _GROWTH: Final[dict[str, tuple[str, str, dict[str, str]]]] = {
 
 
 def write_page(out: Path, report: dict[str, Any]) -> Path:
-    """Write index.html and plots/*.svg from the content of bench.json.
+    """Write index.html, plots/*.svg and methods.md (one table for a document) from the content of bench.json.
 
     Returns:
         The page.
@@ -84,6 +84,8 @@ def write_page(out: Path, report: dict[str, Any]) -> Path:
         folder.mkdir(parents=True, exist_ok=True)
         for name, svg in figures.items():
             (folder / f"{name}.svg").write_text(svg, encoding="utf-8")
+        if isinstance(report["methods"], list):
+            (out / "methods.md").write_text(markdown_table(report["methods"]), encoding="utf-8")
         page.write_text(_page(out, report, figures), encoding="utf-8")
     except OSError as error:
         raise AssetError(f"{out}: cannot be written ({error.strerror}); choose another --out") from error

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 from rich.table import Table
+
+from nearfield_server.benchmark.methods import METHODS
 
 METHOD_FIGURES = (
     "irradiance_rel_rmse",
@@ -16,6 +19,16 @@ METHOD_FIGURES = (
     "client_ms",
     "bytes",
 )
+_HEADS = {
+    "irradiance_rel_rmse": "irradiance error",
+    "object_rel_rmse": "object error",
+    "shadow_rel_rmse": "shadow error",
+    "flip": "FLIP",
+    "flicker": "flicker, 1/255",
+    "server_ms": "server, CPU ms",
+    "client_ms": "client, CPU ms",
+    "bytes": "bytes",
+}
 
 
 def summary(report: dict[str, Any]) -> Table:
@@ -33,6 +46,19 @@ def summary(report: dict[str, Any]) -> Table:
             figures = (f"{name} {number(row[name])}" for name in METHOD_FIGURES)
             table.add_row(row["bundle"], f"{row['name']} {row['lights']}", ", ".join(figures))
     return table
+
+
+def markdown_table(rows: Sequence[dict[str, Any]], lights: int = 16) -> str:
+    """Every method of every bundle in one table, at the number of lights asked for where a method has a choice."""
+    heads = ("bundle", "method", "lights", *(_HEADS[name] for name in METHOD_FIGURES))
+    lines = ["| " + " | ".join(heads) + " |", "|---|---|" + "---:|" * (len(heads) - 2)]
+    for row in rows:
+        entry = METHODS[row["name"]]
+        if len(entry.light_counts) == 1 or row["lights"] == lights:
+            name = entry.title if entry.source else f"**{entry.title}**"
+            figures = (number(row[figure]) for figure in METHOD_FIGURES)
+            lines.append("| " + " | ".join((row["bundle"], name, str(row["lights"]), *figures)) + " |")
+    return "\n".join(lines) + "\n"
 
 
 def number(value: float | None) -> str:

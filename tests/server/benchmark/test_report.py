@@ -50,6 +50,16 @@ def test_plots_are_files_of_their_own_with_the_methods_names_as_text(
     assert "exponent 1.00" in files[0].read_text(encoding="utf-8")
 
 
+def test_the_table_for_documents_has_each_method_once_per_bundle(
+    tmp_path: Path, made_up_run: MakeRun
+) -> None:
+    write_page(tmp_path, made_up_run())
+    lines = (tmp_path / "methods.md").read_text(encoding="utf-8").splitlines()
+    assert len(lines) == 2 + len(METHODS)
+    assert len({line.count("|") for line in lines}) == 1
+    assert lines[2].startswith("| room <1> | **Nearfield** | 16 | 0.02353 |")
+
+
 def test_a_run_without_any_part_still_has_a_page(tmp_path: Path, made_up_run: MakeRun) -> None:
     run = made_up_run()
     for part in ("server", "client", "methods", "growth", "temporal", "latency"):
