@@ -60,8 +60,8 @@ class HiddenLight:
         group_rows: (G + 1,) receivers of surface g are rows `group_rows[g]:group_rows[g + 1]`.
         inverse_albedo: (R, 3) pi / albedo of the receivers.
         form_factor: (R, G) irradiance on a receiver per unit radiance of a hidden surface.
-        ray_start: (R + 1,), ray_texel: (rays,) and ray_weight: (rays,): what receivers see of the visible room, with the
-            projected solid angle of each ray.
+        ray_start: (R + 1,), ray_texel: (rays,) and ray_weight: (rays,): what receivers see of the visible room, each texel once per
+            receiver, with the projected solid angle of its rays.
     """
 
     texels: NDArray[np.int32]
@@ -148,7 +148,7 @@ def find_hidden_light(
             owners.append(surface)
             factors.append(row)
             reach.append(_PATCH_REACH * float(np.linalg.norm(centre - position)))
-            rays.append((seen[visible].astype(np.int32), weight[visible].astype(np.float32)))
+            rays.append(_merge_rays(seen[visible], weight[visible]))
     if not receivers:
         return None
     chosen = np.array(receivers, dtype=np.int32)
@@ -163,6 +163,14 @@ def find_hidden_light(
         ray_texel=np.concatenate([texel for texel, _ in rays]),
         ray_weight=np.concatenate([weight for _, weight in rays]),
     )
+
+
+def _merge_rays(
+    texel: NDArray[np.int32], weight: NDArray[np.float64]
+) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+    """Rays (n,) to texels as one per texel, in texel order: an update reads each texel once per receiver."""
+    merged, ray = np.unique(texel, return_inverse=True)
+    return merged.astype(np.int32), np.bincount(ray, weight, merged.size).astype(np.float32)
 
 
 def _hidden_surfaces(

@@ -267,3 +267,12 @@ def test_the_pipeline_makes_a_light_of_it(small_room: BoxRoom, transport: np.nda
     near = np.linalg.norm(update.vals["position"] - [1.5, 3.0, 2.0], axis=1) < 0.6
     area = small_room.texels.area[hidden].sum()
     np.testing.assert_allclose(update.vals["radiant_intensity"][near].sum(axis=0), 30.0 * area, rtol=0.15)
+
+
+def test_a_receiver_reads_each_texel_once_in_order(small_room: BoxRoom, transport: np.ndarray) -> None:
+    _, hidden = _case(small_room, transport, np.array([30.0, 30.0, 30.0]))
+    found = _find(small_room, hidden)
+    for first, last in zip(found.ray_start[:-1], found.ray_start[1:], strict=True):
+        assert (np.diff(found.ray_texel[first:last]) > 0).all()
+        # The half space holds pi of projected solid angle; the hidden lamp takes its part.
+        assert 0.5 * np.pi < found.ray_weight[first:last].sum() <= np.pi * 1.001
