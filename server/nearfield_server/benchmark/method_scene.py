@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from nearfield_server.benchmark.methods.light import PROBE_RESOLUTION, AtlasSample, Surroundings
 from nearfield_server.benchmark.methods.nearfield import Nearfield
 from nearfield_server.benchmark.transfer_forms import PRESET
+from nearfield_server.errors import AssetError
 from nearfield_server.evaluation.evaluate import place_objects
 from nearfield_server.evaluation.irradiance import PlacedObject
 from nearfield_server.evaluation.light_run import camera_frames
@@ -106,6 +107,12 @@ def load_method_scene(
     """
     say("  geometry and camera pictures")
     bundle = load_bundle(path)
+    with_truth = [view for view in bundle.views if view.small_with_object or view.with_object]
+    if not bundle.objects or not with_truth:
+        raise AssetError(
+            f"{path}: methods are judged by views of virtual objects, and this bundle has {len(bundle.objects)} objects "
+            f"and {len(with_truth)} views with them; leave it out"
+        )
     weights = bundle.weights()
     room = room_from_bundle(bundle)
     mesh, texels, table, fill, hidden = load_or_build(room)
@@ -116,7 +123,6 @@ def load_method_scene(
     sequence = [frames, *(_noisy(frames, seed) for seed in range(num_noisy))]
     samples = [_gathered(pipeline, moment, number) for number, moment in enumerate(sequence)]
     emitter = emitter_faces(bundle, mesh)
-    with_truth = [view for view in bundle.views if view.small_with_object or view.with_object]
     return MethodScene(
         bundle=bundle,
         room=room,
