@@ -48,7 +48,7 @@ export async function loadSceneAssets(
       basisRadiance: light.basis_radiance,
       weight: light.weight,
     })),
-    roomTriangles: { positions: room.positions, indices: room.indices },
+    roomTriangles: { positions: room.positions, indices: room.indices, albedo: room.albedo },
   }
 }
 

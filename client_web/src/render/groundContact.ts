@@ -1,6 +1,6 @@
-/** How much of an object's own shadow on the ground applies; the same rule as server/nearfield_server/scene/ground_shadow.py. */
+/** What an object's own shadow on the ground is multiplied with; the same rule as server/nearfield_server/scene/ground_shadow.py. */
 import { castRay, type Triangles } from './rayMesh'
-import { add, transformPoint, type Vec3 } from './vector'
+import { add, scale, transformPoint, type Vec3, vec3At } from './vector'
 
 /** Radii of gap between object and surface at which the ground shadow is gone. */
 const CONTACT_REACH = 0.2
@@ -15,6 +15,12 @@ const STARTS = [
   [1, -1],
   [1, 1],
 ] as const
+
+/** Real surfaces with what they reflect. */
+export interface Ground extends Triangles {
+  /** 3 per vertex, equal over a triangle. */
+  readonly albedo: Float32Array
+}
 
 export interface Bounds {
   readonly low: Vec3
@@ -39,18 +45,18 @@ export function boundsOf(positions: Float32Array): Bounds {
   return bounds
 }
 
-/** 1 where the object stands upright on a real surface, 0 where it floats or lies tilted. */
-export function groundContact(
+/** Reflectance of the surface that the object stands on, by channel; 0 where it floats or lies tilted. */
+export function groundReflectance(
   bounds: Bounds,
   radius: number,
   worldFromObject: ArrayLike<number>,
-  room: Triangles,
-): number {
+  room: Ground,
+): Vec3 {
   const { low, high } = bounds
   const tilt = Math.min(1, Math.max(0, ((worldFromObject[5] ?? 0) - TILTED) / (UPRIGHT - TILTED)))
-  if (tilt === 0) return 0
+  if (tilt === 0) return [0, 0, 0]
   const reach = CONTACT_REACH * radius
-  let sum = 0
+  let sum: Vec3 = [0, 0, 0]
   for (const [x, z] of STARTS) {
     const base: Vec3 = [
       0.5 * (low[0] + high[0]) + 0.25 * (high[0] - low[0]) * x,
@@ -59,7 +65,9 @@ export function groundContact(
     ]
     const origin = add(transformPoint(worldFromObject, base), [0, reach, 0])
     const hit = castRay(room, origin, [0, -1, 0], false, 2 * reach)
-    sum += hit ? Math.max(0, 1 - Math.abs(hit.distance - reach) / reach) : 0
+    if (!hit) continue
+    const share = Math.max(0, 1 - Math.abs(hit.distance - reach) / reach)
+    sum = add(sum, scale(vec3At(room.albedo, room.indices[3 * hit.triangle] ?? 0), share))
   }
-  return (tilt * sum) / STARTS.length
+  return scale(sum, tilt / STARTS.length)
 }

@@ -2,9 +2,8 @@
 import { rotateSh } from '../radiometry/sh'
 import { MAX_VALS, projectVals } from '../radiometry/valLight'
 import { discOf, fixtureVisibility, isHiddenBeyondFixture } from './fixtureVisibility'
-import { boundsOf, groundContact } from './groundContact'
+import { boundsOf, type Ground, groundReflectance } from './groundContact'
 import { type ObjectState, worldCentre } from './objectData'
-import type { Triangles } from './rayMesh'
 import type { ObjectAsset } from './types'
 
 /** Above this number of room triangles the rays would cost a frame; VALs then count as seen (too bright in their shadow). */
@@ -22,7 +21,7 @@ export function lightObject(
   index: number,
   worldFromObject: Float32Array,
   light: LightInput,
-  room: Triangles,
+  room: Ground,
 ): ObjectState {
   const m = worldFromObject
   const worldFromObjectRows = [0, 4, 8, 1, 5, 9, 2, 6, 10].map((i) => m[i] ?? 0)
@@ -41,7 +40,7 @@ export function lightObject(
   return {
     asset,
     worldFromObject,
-    contact: groundContact(boundsOf(asset.positions), asset.radius, worldFromObject, room),
+    groundReflectance: groundReflectance(boundsOf(asset.positions), asset.radius, worldFromObject, room),
     openShare,
     shIndirect: rotateSh(indirect, worldFromObjectRows),
     shAll: rotateSh(all, worldFromObjectRows),

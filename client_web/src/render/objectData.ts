@@ -12,8 +12,8 @@ export interface ObjectState {
   readonly asset: ObjectAsset
   /** Column-major. */
   readonly worldFromObject: ArrayLike<number>
-  /** Share of the ground shadow that applies: groundContact.ts. */
-  readonly contact: number
+  /** Of the surface that the object stands on, black where there is none: groundContact.ts. */
+  readonly groundReflectance: Vec3
   /** By slot: share of each VAL that its fixture leaves visible from here, fixtureVisibility.ts. */
   readonly openShare: Float32Array
   /** 27 each, object axes: indirect light, and all light (VALs included). */

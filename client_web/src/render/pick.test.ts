@@ -1,6 +1,6 @@
 import { describe, expect, it } from 'vitest'
 import { centredLens } from './camera'
-import { boundsOf, groundContact } from './groundContact'
+import { boundsOf, groundReflectance } from './groundContact'
 import { pickSurface } from './pick'
 import { castRay } from './rayMesh'
 
@@ -51,26 +51,33 @@ describe('pickSurface', () => {
   })
 })
 
-describe('groundContact', () => {
+describe('groundReflectance', () => {
   const bounds = boundsOf(plate.positions)
+  const albedo = [0.6, 0.4, 0.2] as const
+  const ground = { ...floor, albedo: Float32Array.from({ length: 12 }, (_, i) => albedo[i % 3] ?? 0) }
   const at = (height: number): Float32Array => {
     const pose = lifted.slice()
     pose[13] = height
     return pose
   }
+  const expectShare = (pose: Float32Array, share: number): void => {
+    groundReflectance(bounds, 1, pose, ground).forEach((value, i) => {
+      expect(value).toBeCloseTo(share * (albedo[i] ?? 0), 5)
+    })
+  }
 
-  it('is full on the floor, half at half the reach, none above or when tilted', () => {
-    expect(groundContact(bounds, 1, at(0), floor)).toBeCloseTo(1, 6)
-    expect(groundContact(bounds, 1, at(0.1), floor)).toBeCloseTo(0.5, 5)
-    expect(groundContact(bounds, 1, at(0.3), floor)).toBe(0)
+  it('is that of the floor on it, half at half the reach, none above or when tilted', () => {
+    expectShare(at(0), 1)
+    expectShare(at(0.1), 0.5)
+    expectShare(at(0.3), 0)
     const tilted = at(0)
     tilted[5] = 0.8
-    expect(groundContact(bounds, 1, tilted, floor)).toBe(0)
+    expectShare(tilted, 0)
   })
 
   it('counts only the part that stands on the floor', () => {
     const overEdge = at(0)
     overEdge[12] = 2
-    expect(groundContact(bounds, 1, overEdge, floor)).toBeCloseTo(0.6, 5)
+    expectShare(overEdge, 0.6)
   })
 })

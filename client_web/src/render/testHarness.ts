@@ -128,7 +128,11 @@ function synthetic(scene: PlainScene): SceneAssets {
     lights: scene.views.some((view) => view.background)
       ? PICTURE_UNITS.map((unit) => ({ radiance: [1, 1, 1], basisRadiance: unit, weight: 1 }))
       : [],
-    roomTriangles: { positions: roomAsset.positions, indices: roomAsset.indices },
+    roomTriangles: {
+      positions: roomAsset.positions,
+      indices: roomAsset.indices,
+      albedo: roomAsset.albedo,
+    },
   }
 }
 

@@ -1,5 +1,6 @@
 /** Data that crosses the border of the renderer. Units and frames: protocol/CONVENTIONS.md. */
 import type { RoomTriangles } from '../interaction/roomSurface'
+import type { Ground } from './groundContact'
 
 /** A triangle list with what its pass needs per vertex. */
 export interface MeshData {
@@ -36,7 +37,7 @@ export interface ObjectAsset extends MeshData {
   readonly shadowed: Float32Array
   readonly bounce1: Float32Array
   readonly bounce2: Float32Array
-  /** 9 per vertex: what the object loses to its own shadow on the surface that it stands on. */
+  /** 9 per vertex: what the object loses to its own shadow on the surface that it stands on, per unit reflectance. */
   readonly groundShadow: Float32Array
   readonly bounceRatio: number
   readonly shadowProxy: { readonly positions: Float32Array; readonly indices: Uint32Array }
@@ -74,7 +75,7 @@ export interface SceneAssets {
   readonly objects: readonly ObjectAsset[]
   readonly views: readonly ViewAsset[]
   readonly lights: readonly LightAsset[]
-  readonly roomTriangles: RoomTriangles
+  readonly roomTriangles: RoomTriangles & Ground
 }
 
 export interface RendererOptions {

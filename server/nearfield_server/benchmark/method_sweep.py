@@ -245,5 +245,6 @@ def _irradiance_error(
         objects=objects,
         caster=make_caster(room, faces, objects),
         room_caster=make_caster(scene.mesh.positions, scene.mesh.faces, ()),
+        room_albedo=scene.mesh.material_albedo[scene.mesh.face_material],
     ).total
     return rel_rmse(estimate, truth)

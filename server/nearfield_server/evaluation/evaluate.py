@@ -173,6 +173,7 @@ def judge_irradiance(
         objects=objects,
         caster=make_caster(mesh.positions, mesh.faces, objects),
         room_caster=make_caster(mesh.positions, mesh.faces, ()),
+        room_albedo=mesh.material_albedo[mesh.face_material],
     ).total
     return {
         "rel_rmse": irradiance.rel_rmse(estimate, truth),

@@ -1,8 +1,8 @@
 """Irradiance on virtual objects, computed from a light packet as the client shades it, but with ray-cast visibility.
 
 Per point: every VAL in disc form times the part of its disc that room and virtual objects leave visible, plus the transfer
-of the object (less its ground shadow where it stands on a surface) times the SH of the indirect light, plus the
-self-interreflection of the VALs' light (the bounce part of the transfer times the VALs' own SH at the object's centre).
+of the object times the SH of the indirect light, plus the self-interreflection of the VALs' light (the bounce part of the
+transfer times the VALs' own SH at the object's centre), less what the object takes from the surface that it stands on.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from scipy.spatial import cKDTree
 
 from nearfield_server.radiometry.form_factor import val_irradiance
 from nearfield_server.radiometry.sh import rotate_sh, sh_basis
-from nearfield_server.scene.ground_shadow import ground_contact
+from nearfield_server.scene.ground_shadow import ground_reflectance
 from nearfield_server.scene.prepared_model import PreparedModel
 from nearfield_server.scene.ray_caster import RayCaster
 
@@ -58,7 +58,9 @@ class PlacedObject:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class IrradianceParts:
-    """Irradiance at points, (P, 3) W/m^2 each: of the VALs, of the SH, and of VAL light that the object sends to itself."""
+    """Irradiance at points, (P, 3) W/m^2 each: of the VALs, of the SH (less the ground's loss), and of VAL light that the
+    object sends to itself.
+    """
 
     direct: NDArray[np.float64]
     indirect: NDArray[np.float64]
@@ -91,6 +93,7 @@ def estimate_irradiance(
     objects: Sequence[PlacedObject],
     caster: RayCaster,
     room_caster: RayCaster,
+    room_albedo: NDArray[np.floating],
 ) -> IrradianceParts:
     """Irradiance at surface points of virtual objects.
 
@@ -103,6 +106,7 @@ def estimate_irradiance(
         objects: in packet order.
         caster: room and virtual objects.
         room_caster: room alone (the bounce part sees the VALs past the object itself).
+        room_albedo: (F, 3) of the faces of the room alone.
     """
     where, facing = np.asarray(points, np.float64), np.asarray(normals, np.float64)
     lit = vals[np.any(vals["radiant_intensity"] > 0.0, axis=1)]
@@ -120,10 +124,14 @@ def estimate_irradiance(
         sh = rotate_sh(np.asarray(object_sh[index], np.float64), object_from_world[:3, :3])
         val_sh = rotate_sh(val_sh_coeffs(item.centre_world, lit, room_caster), object_from_world[:3, :3])
         low, high = item.model.positions.min(axis=0), item.model.positions.max(axis=0)
-        contact = ground_contact(low, high, item.model.radius, item.world_from_object, room_caster)
-        ground = contact * np.einsum("pc,pck->pk", weights[1], item.model.ground_shadow[weights[0]])
-        indirect[mine] = np.maximum(np.einsum("pki,ki->pi", total - ground[..., None], sh), 0.0)
+        reflectance = ground_reflectance(
+            low, high, item.model.radius, item.world_from_object, room_caster, room_albedo
+        )
+        ground = np.einsum("pc,pck->pk", weights[1], item.model.ground_shadow[weights[0]])
         bounced[mine] = np.einsum("pki,ki->pi", total - shadowed[..., None], val_sh)
+        arriving = np.einsum("pki,ki->pi", total, sh) - reflectance * (ground @ (sh + val_sh))
+        # As the client does: no surface reflects less than nothing.
+        indirect[mine] = np.maximum(arriving + bounced[mine], 0.0) - bounced[mine]
     return IrradianceParts(direct=direct, indirect=indirect, bounced=bounced)
 
 

@@ -1,13 +1,15 @@
 """What a virtual object loses because it darkens the surface that it stands on.
 
 The SH of the indirect light are taken in the empty room, so they hold the light of the bare table under the object. Once the
-object stands there, the table around its foot is in its shadow. Per vertex, in object axes:
+object stands there, it keeps light from the table around its foot, and sends some of its own. Both are linear in the light
+that arrives, lamps included. Per vertex, in object axes, for a plane of reflectance 1 and light Y_k:
 
-    ground_k = integral over w that meets the plane under the object of (1 - r(hit)) max(0, n.w) Y_k(w) dw
+    change_k(x) = a (irradiance of x by the object under Y_k) - integral over w from x that the object blocks of max(0, n.w) Y_k(w) dw
+    ground_k    = - integral over w that meets the plane of change_k(hit) / pi max(0, n.w) dw
 
-with r the share of its light that the plane keeps at the hit point, in a uniform environment, light bounced between object
-and plane included. The irradiance of a standing object is its transfer minus `ground`, times the SH. The plane is horizontal (+y
-up) through the lowest point of the model; its own reflectance does not matter, because its radiance is what the cameras measured.
+The irradiance of a standing object is that of its transfer minus the plane's reflectance times `ground` times the SH of all
+light. The plane is horizontal (+y up) through the lowest point of the model. Light that goes back and forth between plane and
+object more than once is left out.
 
 Rohmer et al. 2014 name the missing shadow of virtual objects as a reason for indirect light that is too bright (section 6.2).
 """
@@ -32,17 +34,17 @@ from nearfield_server.scene.transfer import (
 )
 
 _MAP_SIZE: Final = 48
-"""Points per side of the map of r on the plane."""
+"""Points per side of the map of the plane."""
 _MAP_MARGIN: Final = 1.0
-"""How far the map reaches beyond the object, in bounding radii; there r is within a few per cent of 1."""
+"""How far the map reaches beyond the object, in bounding radii; there the change is a few per cent."""
 _MAP_RAYS: Final = 256
 _CONTACT_REACH: Final = 0.2
 """Radii of gap between object and surface at which the ground shadow is gone."""
 _UPRIGHT: Final = 0.99
 _TILTED: Final = 0.9
 """Cosines of the tilt at which the ground shadow applies fully and not at all."""
-_BOUNCES: Final = 12
-"""Iterations of the exchange between object and plane; each shrinks the rest by the albedo or more."""
+_BOUNCES: Final = 3
+"""Reflections of the loss on the object itself that are followed."""
 
 
 def compute_ground_shadow(
@@ -50,6 +52,7 @@ def compute_ground_shadow(
     normals: NDArray[np.floating],
     faces: NDArray[np.integer],
     albedo: float,
+    transfer: NDArray[np.float64],
     *,
     samples_per_vertex: int,
     seed: int = 1,
@@ -62,12 +65,14 @@ def compute_ground_shadow(
         normals: (V, 3) unit.
         faces: (F, 3).
         albedo: of the object, mean over the channels; it lights the plane again.
+        transfer: (V, 9) `Transfer.total(albedo)`.
         samples_per_vertex: rays per vertex.
         seed: of the random shifts.
         progress: called with (vertices done, vertices in all).
 
     Returns:
-        (V, 9) float64, to be subtracted from the transfer where the object stands on a surface; self-interreflection included.
+        (V, 9) float64 per unit reflectance of the plane, to be subtracted from the transfer where the object stands on a
+        surface; self-interreflection included.
     """
     low, high = np.min(positions, axis=0), np.max(positions, axis=0)
     centre = 0.5 * (low + high)
@@ -78,32 +83,28 @@ def compute_ground_shadow(
     offset = RAY_OFFSET * radius
     up = np.tile([0.0, 1.0, 0.0], (plane.num_points, 1))
     ground = _Rays(caster, plane, plane.points, up, np.asarray(faces), len(local), offset, seed)
-    open_sky, _, object_from_plane = ground.trace(_MAP_RAYS, None)[:3]
+    blocked, _, plane_from_object = ground.trace(_MAP_RAYS, None)
     unit_normals = np.asarray(normals, np.float64)
     vertex = _Rays(caster, plane, local, unit_normals, np.asarray(faces), len(local), offset, seed)
-    sky, plane_from_object, self_bounce, hits = vertex.trace(samples_per_vertex, progress)
-    kept = open_sky.copy()
-    light = sky + plane_from_object @ kept
-    for _ in range(_BOUNCES):
-        light = sky + albedo * (self_bounce @ light) + plane_from_object @ kept
-        kept = open_sky + albedo * (object_from_plane @ light)
-    lost = plane.edge_fade * np.clip(1.0 - kept, 0.0, 1.0)
-    loss = hits.project(lost)
+    _, object_from_plane, self_bounce = vertex.trace(samples_per_vertex, progress)
+    lost = plane.edge_fade[:, None] * (blocked - albedo * (plane_from_object @ transfer))
+    loss = object_from_plane @ lost
     # Light that did not reach one part of the object is missing from what that part sends to another.
     total = loss
-    for _ in range(3):
+    for _ in range(_BOUNCES):
         total = loss + albedo * (self_bounce @ total)
     return np.asarray(total)
 
 
-def ground_contact(
+def ground_reflectance(
     low: NDArray[np.floating],
     high: NDArray[np.floating],
     radius: float,
     world_from_object: NDArray[np.floating],
     room: RayCaster,
-) -> float:
-    """How much of the ground shadow applies: 1 where the object stands upright on a real surface, 0 where it floats or lies tilted.
+    face_albedo: NDArray[np.floating],
+) -> NDArray[np.float64]:
+    """Reflectance of the surface that the object stands on; black where it floats or lies tilted.
 
     Five rays go down from the object's base (its middle and half-way to its corners). The client computes the same.
 
@@ -113,9 +114,10 @@ def ground_contact(
         radius: of the bounding sphere, metres.
         world_from_object: (4, 4).
         room: ray caster over the room, world axes.
+        face_albedo: (F, 3) of the room's triangles.
 
     Returns:
-        Number in [0, 1]: the mean over the rays, falling linearly with the gap over `_CONTACT_REACH` radii.
+        (3,) in [0, 1]: the mean over the rays, falling linearly with the gap over `_CONTACT_REACH` radii.
     """
     pose = np.asarray(world_from_object, np.float64)
     tilt = np.clip((pose[1, 1] - _TILTED) / (_UPRIGHT - _TILTED), 0.0, 1.0)
@@ -126,7 +128,8 @@ def ground_contact(
     origins = base @ pose[:3, :3].T + pose[:3, 3] + np.array([0.0, reach, 0.0])
     hits = room.closest(origins, np.tile([0.0, -1.0, 0.0], (5, 1)))
     gap = np.abs(hits.distance.astype(np.float64) - reach)
-    return float(tilt * np.mean(np.clip(1.0 - gap / reach, 0.0, 1.0)))
+    share = np.clip(1.0 - gap / reach, 0.0, 1.0)
+    return np.asarray(tilt * np.mean(share[:, None] * np.asarray(face_albedo, np.float64)[hits.face], axis=0))
 
 
 class _Plane:
@@ -165,35 +168,8 @@ class _Plane:
         return meets, points, weights
 
 
-class _PlaneHits:
-    """Rays of vertices that meet the plane: SH of their directions, ready to be weighted with values on the map."""
-
-    def __init__(self, num_origins: int) -> None:
-        self._num_origins = num_origins
-        self._parts: list[
-            tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int64], NDArray[np.float64]]
-        ] = []
-
-    def add(
-        self,
-        origin: NDArray[np.int64],
-        basis: NDArray[np.float64],
-        points: NDArray[np.int64],
-        weights: NDArray[np.float64],
-    ) -> None:
-        """Keep one batch: origin (n,), basis (n, 9) with the ray's share of the cosine integral, grid points and weights."""
-        self._parts.append((origin, basis, points, weights))
-
-    def project(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
-        """(origins, 9) integral of the map's values over the rays that meet it."""
-        result = np.zeros((self._num_origins, 9))
-        for origin, basis, points, weights in self._parts:
-            np.add.at(result, origin, basis * np.sum(values[points] * weights, axis=1)[:, None])
-        return result
-
-
 class _Rays:
-    """Cosine-distributed rays from points: what share of them sees the sky, the plane, the object."""
+    """Cosine-distributed rays from points: what share of them meets the plane and the object."""
 
     def __init__(
         self,
@@ -213,14 +189,13 @@ class _Rays:
 
     def trace(
         self, num_rays: int, progress: Progress | None
-    ) -> tuple[NDArray[np.float64], sparse.csr_matrix, sparse.csr_matrix, _PlaneHits]:
-        """Share of open rays (n,), of the plane's points (n, P), of the object's vertices (n, V), and the plane hits."""
+    ) -> tuple[NDArray[np.float64], sparse.csr_matrix, sparse.csr_matrix]:
+        """Cosine integral of Y_k over blocked rays (n, 9); shares of rays that meet points of the plane (n, P) and vertices (n, V)."""
         count = len(self._origins)
         pattern = r2_pattern(num_rays)
-        sky = np.zeros(count)
+        blocked_sh = np.zeros((count, 9))
         plane_rows: list[sparse.csr_matrix] = []
         object_rows: list[sparse.csr_matrix] = []
-        hits = _PlaneHits(count)
         batch = max(1, RAYS_PER_BATCH // num_rays)
         for start in range(0, count, batch):
             part = slice(start, min(start + batch, count))
@@ -231,8 +206,8 @@ class _Rays:
             found = self._caster.closest(origins, directions)
             blocked = np.flatnonzero(found.face >= 0)
             free = np.flatnonzero(found.face < 0)
+            np.add.at(blocked_sh[part], ray_origin[blocked], np.pi / num_rays * sh_basis(directions[blocked]))
             meets, points, weights = self._plane.meet(origins[free], directions[free])
-            sky[part] = np.bincount(ray_origin[free[~meets]], minlength=n) / num_rays
             landed = free[meets]
             plane_rows.append(
                 sparse.csr_matrix(
@@ -240,11 +215,8 @@ class _Rays:
                     (n, self._plane.num_points),
                 )
             )
-            hits.add(
-                ray_origin[landed] + start, sh_basis(directions[landed]) * (np.pi / num_rays), points, weights
-            )
             shape = (n, self._num_vertices)
             object_rows.append(bounce_rows(found, blocked, ray_origin, self._faces, shape, num_rays))
             if progress is not None:
                 progress(part.stop, count)
-        return sky, sparse.vstack(plane_rows, format="csr"), sparse.vstack(object_rows, format="csr"), hits
+        return blocked_sh, sparse.vstack(plane_rows, format="csr"), sparse.vstack(object_rows, format="csr")

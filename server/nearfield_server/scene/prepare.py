@@ -68,6 +68,7 @@ def prepare_model(
         source.normals,
         source.faces,
         float(colour.mean()),
+        transfer.total(float(colour.mean())),
         samples_per_vertex=SAMPLES_PER_VERTEX[preset],
         seed=seed,
         progress=report("ground shadow"),

@@ -20,7 +20,7 @@ from nearfield_server.scene.occlusion_field import MAX_RESOLUTION, NUM_CHANNELS,
 from nearfield_server.scene.shadow_proxy import ShadowProxy
 from nearfield_server.scene.transfer import Transfer
 
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
 """Of `extras.nearfield`; part of the cache key, so a change makes cached models be prepared again."""
 
 _TRANSFER_ATTRIBUTES = ("_SHADOWED", "_BOUNCE1", "_BOUNCE2", "_GROUND")
@@ -34,7 +34,7 @@ class PreparedModel:
         positions: (V, 3) float32. normals: (V, 3) float32 unit. faces: (F, 3) int32.
         albedo: (3,) float64 linear, of the material; a room file may override it.
         transfer: coefficients per vertex.
-        ground_shadow: (V, 9) float64, subtracted from the transfer of indirect light where the object stands on a surface.
+        ground_shadow: (V, 9) float64, subtracted from the transfer where the object stands on a surface, times its reflectance.
         proxy: decimated mesh for shadow maps.
         occlusion_field: what the object blocks, seen from around it.
         centre: (3,) float64, centre of the bounding sphere. radius: of it.

@@ -59,6 +59,7 @@ def estimate(item, vals, sh, points, normals):
         objects=[item],
         caster=make_caster(*FAR_ROOM, [item]),
         room_caster=make_caster(*FAR_ROOM, []),
+        room_albedo=np.full((1, 3), 0.5),
     )
 
 

@@ -54,7 +54,7 @@ export class GbufferPass {
         .float('uAlbedoOfObject', ...mesh.asset.albedo)
         .float('uBounceRatio', mesh.asset.bounceRatio)
         .float('uKind', index + 1)
-        .float('uContact', object.contact)
+        .float('uGroundReflectance', ...object.groundReflectance)
         .vec3Array('uShIndirect', object.shIndirect)
         .vec3Array('uShAll', object.shAll)
       mesh.full.draw()

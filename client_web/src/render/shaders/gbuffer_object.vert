@@ -1,6 +1,7 @@
 #version 300 es
 // Indirect radiance per vertex: Rohmer et al. 2014, Eq. 9. Differs from the paper: light that the object casts on itself is added,
-// also that of the VALs.
+// also that of the VALs, and
+// what it keeps from the surface under it is missing.
 layout(location = 0) in vec3 aPosition;
 layout(location = 1) in vec3 aNormal;
 layout(location = 2) in vec3 aShadowed0;
@@ -19,8 +20,8 @@ uniform mat4 uClipFromObject;
 uniform mat3 uWorldFromObject;
 uniform vec3 uAlbedoOfObject;
 uniform float uBounceRatio;
-// Share of the object's own shadow on the surface under it that applies.
-uniform float uContact;
+// Of the surface that the object stands on; black where there is none.
+uniform vec3 uGroundReflectance;
 // Object axes; of the indirect light, and of all light that reaches the object (VALs included).
 uniform vec3 uShIndirect[9];
 uniform vec3 uShAll[9];
@@ -34,7 +35,7 @@ vec3 gather(vec3 sh[9], vec3 t0, vec3 t1, vec3 t2) {
 
 void main() {
   vec3 albedo = uAlbedoOfObject;
-  vec3 irradiance = gather(uShIndirect, aShadowed0 - uContact * aGround0, aShadowed1 - uContact * aGround1, aShadowed2 - uContact * aGround2) +
+  vec3 irradiance = gather(uShIndirect, aShadowed0, aShadowed1, aShadowed2) - uGroundReflectance * gather(uShAll, aGround0, aGround1, aGround2) +
     albedo * gather(uShAll, aBounceOne0, aBounceOne1, aBounceOne2) +
     albedo * albedo / (1.0 - albedo * uBounceRatio) * gather(uShAll, aBounceTwo0, aBounceTwo1, aBounceTwo2);
   vRadiance = albedo * 0.3183098861837907 * max(irradiance, 0.0);
