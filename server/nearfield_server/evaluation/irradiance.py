@@ -58,8 +58,12 @@ class PlacedObject:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class IrradianceParts:
-    """Irradiance at points, (P, 3) W/m^2 each: of the VALs, of the SH (less the ground's loss), and of VAL light that the
-    object sends to itself.
+    """Irradiance at points, (P, 3) W/m^2 each.
+
+    Attributes:
+        direct: of the VALs.
+        indirect: of the SH, less what the object takes from the ground.
+        bounced: VAL light that the object sends to itself.
     """
 
     direct: NDArray[np.float64]
