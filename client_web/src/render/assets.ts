@@ -202,14 +202,17 @@ interface PreparedExtras {
   } | null
 }
 
+/** Of prepared models: prepared_model.py. */
+const PREPARED_FORMAT = 2
+
 /** A prepared model (server/ARCHITECTURE.md). */
 export async function readObject(object: ObjectDescription, data: ArrayBuffer): Promise<ObjectAsset> {
   const url = object.model_url
   const gltf = await parseGlb(url, data)
   const extras = (gltf.parser.json as { extras?: { nearfield?: PreparedExtras } }).extras?.nearfield
-  if (extras?.version !== 1) {
+  if (extras?.version !== PREPARED_FORMAT) {
     throw new RendererError(
-      `${url} is prepared in format ${extras?.version ?? 'none'}, this page reads 1; run \`nearfield prepare\` again.`,
+      `${url} is prepared in format ${extras?.version ?? 'none'}, this page reads ${PREPARED_FORMAT}; run \`nearfield prepare\` again.`,
     )
   }
   const [model, proxy] = await Promise.all([meshOf(url, gltf, 0), meshOf(url, gltf, 1)])

@@ -193,7 +193,7 @@ def test_unprepared_and_foreign_versions_are_told_apart(sphere_path, tmp_path, m
     out = tmp_path / "p.glb"
     prepare_model(sphere_path, "preview", out)
     monkeypatch.setattr(prepared_model, "FORMAT_VERSION", 99)
-    with pytest.raises(AssetError, match="format 1"):
+    with pytest.raises(AssetError, match="format 2"):
         load_prepared(out)
     monkeypatch.undo()
     document, binary = read_glb_chunks(out)
