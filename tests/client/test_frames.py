@@ -53,6 +53,23 @@ def test_only_what_depends_on_a_change_is_drawn(harness: Any) -> None:
     assert _ran(harness) == set()
 
 
+def test_a_new_camera_picture_alone_is_put_behind_what_is_there(harness: Any) -> None:
+    view = harness.view([0, 1.0, 2.5], [0, 0.5, 0], WIDTH, HEIGHT, 150.0)
+    view["background"] = np.full(3 * WIDTH * HEIGHT, 2.0).tolist()
+    scene = {"room": harness.floor(), "objects": [harness.sphere([0, 0.5, 0], 0.3)], "views": [view]}
+    pictures = []
+    for starts_dim in (False, True):
+        harness.create(scene, WIDTH, HEIGHT)
+        harness.call("setLight", [harness.val(*LIGHT)], [0.2] * 27)
+        if not starts_dim:
+            _ran(harness)
+        harness.call("setWeights", [0.5, 1.0, 1.0])
+        ran = _ran(harness)
+        assert starts_dim or ran == {"background", "display"}
+        pictures.append(harness.picture())
+    np.testing.assert_array_equal(*pictures)
+
+
 def test_live_frames_keep_to_their_budget_of_shadow_maps(harness: Any) -> None:
     _start(harness)
     place, normal, radius, radiance = LIGHT

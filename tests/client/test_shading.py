@@ -48,19 +48,52 @@ def _many_vals(harness: Any, count: int) -> list[dict[str, Any]]:
 
 @pytest.mark.parametrize("count", [5, 64])
 def test_tiles_change_no_bit(harness: Any, count: int) -> None:
-    harness.create(_furnished_scene(harness), WIDTH, HEIGHT)
-    harness.call("setLight", _many_vals(harness, count), [0.3] * 54)
-    pictures = []
-    for tiled in (True, False):
-        harness.call("setOptions", {"tiled": tiled})
-        pictures.append(harness.picture())
+    pictures = _with_and_without_tiles(harness, count, fullQuality=True)
     assert pictures[0].max() > 0.1
     np.testing.assert_array_equal(pictures[0].view(np.uint32), pictures[1].view(np.uint32))
 
 
+@pytest.mark.parametrize("shadows", [False, True])
+def test_live_fragments_share_the_vals_without_bias(harness: Any, shadows: bool) -> None:
+    """Shares are means over neighbours: what curves within a fragment or two is smoothed, nothing is added or lost."""
+    shared, own = _with_and_without_tiles(harness, 24, scale=3, shadows=shadows, antiAliasing=False)
+    is_virtual = own[..., 3] == 1
+    np.testing.assert_array_equal(shared[..., 3], own[..., 3])
+    difference = (shared - own)[..., :3]
+    assert np.abs(difference[is_virtual]).mean() < 0.03 * own[is_virtual, :3].mean()
+    assert abs(difference[is_virtual].mean()) < 0.01 * own[is_virtual, :3].mean()
+    assert np.abs(difference[~is_virtual]).mean() < 0.5 / 255
+    if not shadows:
+        np.testing.assert_array_equal(difference[~is_virtual], 0.0)
+
+
+def test_vals_left_out_of_a_live_tile_stay_below_half_a_step_of_white(harness: Any) -> None:
+    shared, own = _with_and_without_tiles(harness, 64, share=2e-3, shadows=False, antiAliasing=False)
+    lost = (own - shared)[..., :3]
+    assert lost.max() > 1e-4
+    # What is not left out is smoothed a little.
+    assert np.abs(lost).max() < 1.1 * 0.5 / 255
+
+
+def _with_and_without_tiles(
+    harness: Any, count: int, scale: int = 1, share: float = 1.0, **options: object
+) -> list[NDArray[np.float32]]:
+    background = np.full((HEIGHT, WIDTH, 3), 2.0, np.float32)
+    harness.create(_furnished_scene(harness, background), scale * WIDTH, scale * HEIGHT, **options)
+    vals = _many_vals(harness, count)
+    for val in vals:
+        val["radiantIntensity"] = [share * value for value in val["radiantIntensity"]]
+    harness.call("setLight", vals, [0.3] * 54)
+    pictures = []
+    for tiled in (True, False):
+        harness.call("setOptions", {"tiled": tiled})
+        pictures.append(harness.picture())
+    return pictures
+
+
 def test_composite_of_a_lit_room_is_the_augmented_room(harness: Any) -> None:
     """Eq. 13 on a background made by the same light equals drawing the augmented room (Eq. 12 everywhere)."""
-    options = {"antiAliasing": False, "indirectOcclusion": False}
+    options = {"antiAliasing": False, "indirectOcclusion": False, "fullQuality": True}
     vals = _many_vals(harness, 16)
     harness.create(_furnished_scene(harness), WIDTH, HEIGHT, **options)
     harness.call("setLight", vals, [0.0] * 54)

@@ -5,6 +5,7 @@ import { DataTexture, makeTexture, Target } from './gl/targets'
 import { VAL_COLUMNS } from './lightData'
 import { MAX_OBJECTS, OBJECT_COLUMNS } from './objectData'
 import { BackgroundPass } from './passes/backgroundPass'
+import { CompositePass } from './passes/compositePass'
 import { CoveragePass } from './passes/coveragePass'
 import { DisplayPass } from './passes/displayPass'
 import { GbufferPass } from './passes/gbufferPass'
@@ -26,8 +27,12 @@ export interface SizedTargets {
   readonly gbuffer: Target
   readonly background: Target
   readonly tiles: Target
-  readonly composite: Target
-  readonly picture: Target
+  /** What virtual objects change: shade.frag, resolve.frag. */
+  readonly change: Target
+  /** Before it is gathered: what each fragment found itself, and its share of the VALs. */
+  readonly shares: Target
+  /** Silhouettes on their way, or the composite when it is read back. */
+  readonly scratch: Target
   readonly coverage: CoveragePass
 }
 
@@ -38,6 +43,7 @@ export class GpuState {
   readonly tiles: TilePass
   readonly shade: ShadePass
   readonly resolve: ResolvePass
+  readonly composite: CompositePass
   readonly display: DisplayPass
   readonly valData: DataTexture
   readonly objectData: DataTexture
@@ -56,6 +62,7 @@ export class GpuState {
     this.tiles = new TilePass(gl)
     this.shade = new ShadePass(gl, assets.objects)
     this.resolve = new ResolvePass(gl)
+    this.composite = new CompositePass(gl)
     this.display = new DisplayPass(gl)
     this.valData = new DataTexture(gl, VAL_COLUMNS, MAX_VALS)
     this.objectData = new DataTexture(gl, OBJECT_COLUMNS, MAX_OBJECTS)
@@ -83,8 +90,9 @@ export class GpuState {
       gbuffer: this.gbuffer.makeTarget(width, height),
       background: radiance('background'),
       tiles: this.tiles.makeTarget(width, height),
-      composite: radiance('composite'),
-      picture: radiance('picture'),
+      change: radiance('change'),
+      shares: new Target(gl, 'shares', width, height, [radianceFormat, radianceFormat]),
+      scratch: radiance('scratch'),
       coverage: new CoveragePass(gl, width, height),
     }
     return this.#sized
@@ -119,8 +127,9 @@ export class GpuState {
       sized.gbuffer,
       sized.background,
       sized.tiles,
-      sized.composite,
-      sized.picture,
+      sized.change,
+      sized.shares,
+      sized.scratch,
       sized.coverage,
     ]) {
       part.dispose()
@@ -139,6 +148,7 @@ export class GpuState {
       this.tiles,
       this.shade,
       this.resolve,
+      this.composite,
       this.display,
       this.valData,
       this.objectData,

@@ -6,6 +6,7 @@ import type { LightFrame } from '../state/lightState'
 import { centredLens, clipFromWorld, type Lens, resizeLens } from './camera'
 import { type Device, openDevice, probeDevice, resetState } from './device'
 import { RendererError } from './errors'
+import type { Target } from './gl/targets'
 import { GpuState, type SizedTargets } from './gpuState'
 import { packVals } from './lightData'
 import { lightObject } from './lightSetup'
@@ -34,6 +35,8 @@ type Key =
   | 'weights'
   | 'atlas'
   | 'shading options'
+  | 'shadow option'
+  | 'negligible light'
   | 'quality'
   | 'edges'
   | 'display options'
@@ -43,16 +46,16 @@ type Key =
   | 'light data'
   | 'gbuffer'
   | 'tiles'
-  | 'composite'
+  | 'change'
   | 'coverage'
-  | 'picture'
+  | 'resolved'
 
 const OPTION_KEYS: Readonly<Record<keyof RendererOptions, Key>> = {
   exposure: 'display options',
   showVals: 'display options',
   selectedObject: 'display options',
   softClip: 'display options',
-  shadows: 'shading options',
+  shadows: 'shadow option',
   indirectOcclusion: 'shading options',
   tiled: 'shading options',
   fixtureRays: 'shading options',
@@ -61,6 +64,11 @@ const OPTION_KEYS: Readonly<Record<keyof RendererOptions, Key>> = {
   fullQuality: 'quality',
   antiAliasing: 'edges',
 }
+
+/** Share of white that the VALs left out of a tile may amount to while the picture is live. */
+const NEGLIGIBLE = 0.5 / 255
+/** Exposures within this factor share one choice of VALs, so the error stays below 2 NEGLIGIBLE. */
+const EXPOSURE_SLACK = 2
 
 /** Side of a streamed atlas tile, texels. */
 const ATLAS_TILE = 32
@@ -93,6 +101,8 @@ export class Renderer {
   #gpu: GpuState
   #objectsMoved = true
   #mode: ShadingMode = 'composite'
+  /** By which VALs were last found negligible. */
+  #judgedExposure: number
   #lost = false
 
   /**
@@ -117,6 +127,7 @@ export class Renderer {
     this.#canvas = canvas
     this.#assets = assets
     this.#options = options
+    this.#judgedExposure = options.exposure
     this.#poses = assets.objects.map((object) => fromRowMajor(object.worldFromObject))
     this.#weights = Float32Array.from(assets.lights, (light) => light.weight)
     this.#objectSh = new Float32Array(27 * assets.objects.length)
@@ -202,7 +213,16 @@ export class Renderer {
         if (name === 'fullQuality') {
           this.#maps.invalidate()
         }
+        if (name === 'exposure') this.#judgeExposure()
       }
+    }
+  }
+
+  #judgeExposure(): void {
+    const change = this.#options.exposure / this.#judgedExposure
+    if (change > EXPOSURE_SLACK || change < 1 / EXPOSURE_SLACK ** 3) {
+      this.#judgedExposure = this.#options.exposure
+      this.#runner.touch('negligible light')
     }
   }
 
@@ -310,52 +330,74 @@ export class Renderer {
     runner.run('gbuffer', ['size', 'camera', 'object light'], ['gbuffer'], () =>
       gpu.gbuffer.run(targets.gbuffer, frame, gpu.meshes),
     )
-    if (this.#options.tiled && this.#mode === 'composite') {
-      runner.run('tiles', ['gbuffer', 'light data'], ['tiles'], () =>
-        gpu.tiles.run(targets.tiles, frame, targets.gbuffer),
+    const negligible = this.#options.fullQuality ? 0 : NEGLIGIBLE / this.#judgedExposure
+    if (this.#usesTiles) {
+      runner.run(
+        'tiles',
+        ['gbuffer', 'light data', 'shadow option', 'quality', 'negligible light'],
+        ['tiles'],
+        () => gpu.tiles.run(targets.tiles, frame, targets.gbuffer, this.#shadowPass(), negligible),
       )
     } else {
       runner.skip('tiles', 'switched off')
     }
   }
 
-  /** Composite, edges, display. */
+  /** Change, edges, display. */
   #shade(frame: Frame, targets: SizedTargets): void {
     const runner = this.#runner
     const gpu = this.#gpu
-    const background = frame.camera.hasPicture
-      ? targets.background
-      : gpu.room(targets.width, targets.height).resolved
-    runner.run(
-      'shade',
-      ['background', 'gbuffer', 'tiles', 'light data', 'shading options', 'quality'],
-      ['composite'],
-      () =>
-        gpu.shade.run(
-          targets.composite,
-          frame,
-          targets.gbuffer,
-          background,
-          targets.tiles,
-          this.#shadowPass(),
-          this.#mode,
-        ),
-    )
     const { antiAliasing } = this.#options
+    const inputs: Key[] = [
+      'gbuffer',
+      'tiles',
+      'light data',
+      'shading options',
+      'shadow option',
+      'quality',
+      'edges',
+    ]
+    const background = this.#background(frame.camera)
+    runner.run('shade', this.#options.receiverRatio ? [...inputs, 'background'] : inputs, ['change'], () => {
+      const { gbuffer, tiles } = targets
+      const shading = { gbuffer, tiles, isTiled: this.#usesTiles, shadows: this.#shadowPass(), background }
+      gpu.shade.run(targets.change, targets.shares, frame, shading, this.#mode)
+    })
     if (antiAliasing) {
       runner.run('coverage', ['size', 'camera', 'poses'], ['coverage'], () =>
         targets.coverage.run(frame, gpu.meshes),
       )
-      runner.run('resolve', ['composite', 'coverage', 'edges'], ['picture'], () =>
-        gpu.resolve.run(targets.picture, targets.composite, targets.coverage.resolved, background),
+      runner.run('resolve', ['change', 'coverage', 'edges'], ['resolved'], () =>
+        gpu.resolve.run(
+          targets.change,
+          targets.scratch,
+          targets.coverage.resolved,
+          this.#usesTiles ? targets.tiles : null,
+        ),
       )
     } else {
       runner.skip('coverage', 'switched off')
       runner.skip('resolve', 'switched off')
     }
-    runner.run('display', ['composite', 'picture', 'edges', 'display options'], [], () =>
-      gpu.display.run(frame, antiAliasing ? targets.picture : targets.composite, targets.gbuffer),
+    runner.run('display', ['background', 'change', 'resolved', 'display options'], [], () =>
+      gpu.display.run(frame, background, targets.change, targets.gbuffer, this.#backgroundShare),
     )
+  }
+
+  get #usesTiles(): boolean {
+    const { tiled, receiverRatio } = this.#options
+    return tiled && !receiverRatio && this.#mode === 'composite'
+  }
+
+  get #backgroundShare(): number {
+    return this.#mode === 'composite' ? 1 : 0
+  }
+
+  #background(camera: CameraState): Target {
+    const { width, height } = this.#size
+    return camera.hasPicture
+      ? this.#gpu.sized(width, height).background
+      : this.#gpu.room(width, height).resolved
   }
 
   #shadowPass(): ReturnType<GpuState['shadows']> {
@@ -387,9 +429,15 @@ export class Renderer {
     const { gl } = this.#device
     const { width, height } = this.#size
     const targets = this.#gpu.sized(width, height)
-    const source = this.#options.antiAliasing ? targets.picture : targets.composite
+    resetState(gl)
+    this.#gpu.composite.run(
+      targets.scratch,
+      this.#background(this.#cameraState()),
+      targets.change,
+      this.#backgroundShare,
+    )
     const pixels = new Float32Array(4 * width * height)
-    gl.bindFramebuffer(gl.FRAMEBUFFER, source.framebuffer)
+    gl.bindFramebuffer(gl.FRAMEBUFFER, targets.scratch.framebuffer)
     gl.readPixels(0, 0, width, height, gl.RGBA, gl.FLOAT, pixels)
     const rowLength = 4 * width
     const swap = new Float32Array(rowLength)

@@ -79,6 +79,21 @@ export class Program {
     return this
   }
 
+  uint(name: string, value: number): this {
+    this.#gl.uniform1ui(this.#location(name), value)
+    return this
+  }
+
+  vec2Array(name: string, values: Float32Array): this {
+    this.#gl.uniform2fv(this.#location(name), values)
+    return this
+  }
+
+  vec4Array(name: string, values: Float32Array): this {
+    this.#gl.uniform4fv(this.#location(name), values)
+    return this
+  }
+
   vec3Array(name: string, values: Float32Array): this {
     this.#gl.uniform3fv(this.#location(name), values)
     return this

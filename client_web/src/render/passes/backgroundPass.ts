@@ -10,14 +10,16 @@ const MAX_PICTURES = 64
 /** Linear radiance of the tablet's camera picture: a mix of basis pictures, one per lamp. Inputs: view, light weights, size. */
 export class BackgroundPass {
   readonly #gl: WebGL2RenderingContext
-  readonly #program: Program
+  readonly #sameSize: Program
+  readonly #resized: Program
   readonly #views: readonly ViewAsset[]
   readonly #lights: readonly LightAsset[]
   readonly #pictures = new Map<number, WebGLTexture>()
 
   constructor(gl: WebGL2RenderingContext, views: readonly ViewAsset[], lights: readonly LightAsset[]) {
     this.#gl = gl
-    this.#program = new Program(gl, 'background', SHADERS.background)
+    this.#sameSize = new Program(gl, 'background', SHADERS.backgroundSameSize)
+    this.#resized = new Program(gl, 'resized background', SHADERS.background)
     this.#views = views
     this.#lights = lights
   }
@@ -34,7 +36,8 @@ export class BackgroundPass {
       factors.set(light ? light.radiance.map((v) => v * factor) : [1, 1, 1], 3 * k)
     })
     target.bind()
-    this.#program
+    const isSameSize = view.width === target.width && view.height === target.height
+    ;(isSameSize ? this.#sameSize : this.#resized)
       .use()
       .textures({
         uPictures: { target: gl.TEXTURE_2D_ARRAY, texture: this.#texture(viewIndex, view.pictures) },
@@ -42,7 +45,6 @@ export class BackgroundPass {
       .int('uNumPictures', view.pictures.length)
       .vec3Array('uWeights', factors)
       .float('uTargetSize', target.width, target.height)
-      .int('uSameSize', view.width === target.width && view.height === target.height)
     drawScreen(gl)
   }
 
@@ -86,7 +88,8 @@ export class BackgroundPass {
   }
 
   dispose(): void {
-    this.#program.dispose()
+    this.#sameSize.dispose()
+    this.#resized.dispose()
     for (const texture of this.#pictures.values()) {
       this.#gl.deleteTexture(texture)
     }

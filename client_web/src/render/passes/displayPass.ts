@@ -11,29 +11,41 @@ const MARKER_VERTICES = 75
 /** Width of the outline around the selected object, as a share of the picture's height: 1 / this. */
 const OUTLINE_SHARE = 500
 
-/** Exposure and transfer function to the canvas; the selected object's outline and markers of the VALs on top. Inputs: resolved picture, exposure. */
+/**
+ * Background and change to the canvas, by exposure and transfer function; the selected object's outline and markers of the VALs on
+ * top. Inputs: background, change, exposure. All that a frame costs in which only the camera picture is new.
+ */
 export class DisplayPass {
   readonly #gl: WebGL2RenderingContext
-  readonly #display: Program
+  readonly #plain: Program
+  readonly #outlined: Program
   readonly #marker: Program
 
   constructor(gl: WebGL2RenderingContext) {
     this.#gl = gl
-    this.#display = new Program(gl, 'display', SHADERS.display)
+    this.#plain = new Program(gl, 'display', SHADERS.display)
+    this.#outlined = new Program(gl, 'display with outline', SHADERS.displayOutlined)
     this.#marker = new Program(gl, 'light markers', SHADERS.valMarker)
   }
 
-  run(frame: Frame, picture: Target, gbuffer: Target): void {
+  /** @param backgroundShare 0 leaves the background out. */
+  run(frame: Frame, background: Target, change: Target, gbuffer: Target, backgroundShare: number): void {
     const gl = this.#gl
     gl.bindFramebuffer(gl.FRAMEBUFFER, null)
-    gl.viewport(0, 0, picture.width, picture.height)
-    this.#display
+    gl.viewport(0, 0, change.width, change.height)
+    const isOutlined = frame.options.selectedObject >= 0
+    ;(isOutlined ? this.#outlined : this.#plain)
       .use()
-      .textures({ uComposite: picture.colour(), uAlbedo: gbuffer.colour(0) })
+      .textures({
+        uBackground: background.colour(),
+        uChange: change.colour(),
+        ...(isOutlined ? { uAlbedo: gbuffer.colour(0) } : {}),
+      })
+      .float('uBackgroundShare', backgroundShare)
       .float('uExposure', frame.options.exposure)
       .int('uSoftClip', frame.options.softClip)
       .int('uSelectedKind', frame.options.selectedObject + 1)
-      .float('uOutlineWidth', Math.max(0.75, picture.height / OUTLINE_SHARE))
+      .float('uOutlineWidth', Math.max(0.75, change.height / OUTLINE_SHARE))
     drawScreen(gl)
     if (!frame.options.showVals || frame.valCount === 0) return
     gl.enable(gl.BLEND)
@@ -49,7 +61,8 @@ export class DisplayPass {
   }
 
   dispose(): void {
-    this.#display.dispose()
+    this.#plain.dispose()
+    this.#outlined.dispose()
     this.#marker.dispose()
   }
 }

@@ -3,87 +3,114 @@ precision highp float;
 precision highp int;
 precision highp sampler3D;
 precision highp sampler2DShadow;
+// What virtual objects change in the picture: Rohmer et al. 2014, Eq. 12 and 13. Virtual fragments: their radiance, alpha 1; real
+// fragments: the change of their radiance, alpha 0. The background is added later, so it may change alone.
+// LIGHTS: the tile has VALs. OBJECTS: it has virtual fragments. INTERLEAVED: of the tile's VALs, each fragment of a square of 2 x 2 takes
+// every fourth, and gather.frag adds them up (Keller and Heidrich 2001; Segovia et al. 2006). RECEIVER_RATIO: real surfaces are scaled.
 #include <octahedral>
 #include <sh_basis>
 #include <surface>
 #include <val_data>
 #include <object_data>
 #include <shadow_cone>
+#include <shadow_window>
 #include <shadow>
 #include <indirect_exchange>
+#include <bits>
 uniform highp sampler2D uIndirect;
+#ifdef RECEIVER_RATIO
 uniform highp sampler2D uBackground;
-uniform highp usampler2D uTileMask;
+#endif
+uniform highp usampler2D uTileLights;
+uniform highp usampler2D uTileTaps;
 uniform bool uTiled;
 uniform int uNumVals;
 uniform bool uShadows;
 uniform bool uIndirectExchange;
 uniform bool uFixtureRays;
 uniform bool uRoomShadows;
-uniform bool uReceiverRatio;
 // 0 composite, 1 the room alone lit by VALs, 2 the augmented room lit by VALs (oracles of the tests).
 uniform int uMode;
-layout(location = 0) out vec4 oRadiance;
+layout(location = 0) out vec4 oChange;
+#ifdef INTERLEAVED
+// Irradiance / pi by this fragment's share of the VALs; in alpha its distance from the camera, negative for virtual fragments.
+layout(location = 1) out vec4 oShare;
+#endif
 
-float seenThroughRoom(Receiver receiver, Val val) {
-  return uRoomShadows ? roomVisibility(receiver, val) : 1.0;
-}
-
-// Radiance that the VALs add to (virtual) or that virtual objects take from (real) this surface: Rohmer et al. 2014, Eq. 12 and 13.
-vec3 shadeWithVal(int slot, Surface surface, float turn) {
+#ifdef LIGHTS
+// Radiance per unit albedo that a VAL adds to (virtual) or that virtual objects take from (real) this surface. `tapped`: whether a tile leaves the
+// visibility among virtual objects (x) and in the room (y) open; if not, the former is 0 for real and 1 for virtual fragments, the latter 1.
+vec3 shadeWithVal(int slot, bvec2 tapped, Surface surface, mat2 rotation) {
   Val val = fetchVal(slot);
-  bool isReal = surface.kind == 0;
   vec3 irradiance = valIrradiance(val, surface.positionWorld, surface.normalWorld);
-  if (max(irradiance.r, max(irradiance.g, irradiance.b)) <= 0.0) {
-    return vec3(0.0);
-  }
-  vec3 radiance = surface.albedo * 0.3183098861837907 * irradiance;
+  bool lit = max(irradiance.r, max(irradiance.g, irradiance.b)) > 0.0;
+  vec3 radiance = 0.3183098861837907 * irradiance;
+  bool isReal = true;
+#ifdef OBJECTS
+  isReal = surface.kind == 0;
+#endif
   if (uShadows && uFixtureRays) {
     radiance *= isReal ? val.openShare : openShareOf(slot, surface.kind - 1);
   }
-  bool mapped = uShadows && val.hasShadowMap;
-  Receiver receiver = makeReceiver(val, slot, surface.positionWorld, surface.normalWorld, turn);
+  bool mapped = lit && uShadows && val.hasShadowMap;
+#ifdef INTERLEAVED
+  const bool inCone = true;
+#else
+  bool inCone = !isReal || ballInShadowCone(val, surface.positionWorld, 0.0);
+#endif
+  Receiver receiver = makeReceiver(val, slot, surface.positionWorld, surface.normalWorld, rotation);
+  float amongObjects = isReal && !tapped.x && mapped && inCone ? 0.0 : virtualVisibility(receiver, val, tapped.x && mapped && inCone);
+  bool needsRoom = !isReal || uMode != 0 ? amongObjects > 0.0 || uMode == 1 : amongObjects < 1.0;
+  float inRoom = roomVisibility(receiver, val, uRoomShadows && tapped.y && mapped && needsRoom);
   if (!isReal) {
-    return mapped ? radiance * (seenThroughRoom(receiver, val) * virtualVisibility(receiver, val)) : radiance;
+    return radiance * (inRoom * amongObjects);
   }
-  float behindVirtual = mapped && ballInShadowCone(val, surface.positionWorld, 0.0) ? virtualVisibility(receiver, val) : 1.0;
   if (uMode == 0) {
-    return behindVirtual < 1.0 ? radiance * (seenThroughRoom(receiver, val) * (1.0 - behindVirtual)) : vec3(0.0);
+    return radiance * (inRoom * (1.0 - amongObjects));
   }
-  float seen = mapped ? seenThroughRoom(receiver, val) : 1.0;
-  return radiance * (uMode == 1 ? seen : seen * behindVirtual);
+  return radiance * (uMode == 1 ? inRoom : inRoom * amongObjects);
 }
 
 vec3 shadeWithVals(ivec2 at, Surface surface) {
-  float turn = 6.283185307179586 * interleavedNoise(vec2(at));
-  uvec2 mask = uvec2(0xffffffffu);
+#ifdef INTERLEAVED
+  // Fragments with the same share of the VALs are two apart, and their taps should differ.
+  mat2 rotation = tapRotation(vec2(at / 2));
+#else
+  mat2 rotation = tapRotation(vec2(at));
+#endif
+  uvec2 lights = uvec2(0xffffffffu);
+  uvec4 taps = uvec4(0xffffffffu);
   if (uTiled) {
-    mask = texelFetch(uTileMask, at / 8, 0).xy;
+    lights = texelFetch(uTileLights, at / 8, 0).xy;
+    taps = texelFetch(uTileTaps, at / 8, 0);
   }
-  mask.x &= uNumVals >= 32 ? 0xffffffffu : (1u << uint(uNumVals)) - 1u;
-  mask.y &= uNumVals >= 64 ? 0xffffffffu : uNumVals <= 32 ? 0u : (1u << uint(uNumVals - 32)) - 1u;
+  lights.x &= uNumVals >= 32 ? 0xffffffffu : (1u << uint(uNumVals)) - 1u;
+  lights.y &= uNumVals >= 64 ? 0xffffffffu : uNumVals <= 32 ? 0u : (1u << uint(uNumVals - 32)) - 1u;
   vec3 sum = vec3(0.0);
-  for (int word = 0; word < 2; word++) {
-    uint bits = word == 0 ? mask.x : mask.y;
-    while (bits != 0u) {
-      uint lowest = bits & (~bits + 1u);
-      int slot = int(floatBitsToUint(float(lowest)) >> 23) - 127;
-      bits ^= lowest;
-      sum += shadeWithVal(32 * word + slot, surface, turn);
-    }
+#ifdef INTERLEAVED
+  // By slot, so that tiles with other VALs share them out alike.
+  lights &= uvec2(0x11111111u << uint((at.x & 1) + 2 * (at.y & 1)));
+#endif
+  while (lights.x != 0u || lights.y != 0u) {
+    bool inFirst = lights.x != 0u;
+    uint bit = lowestBit(inFirst ? lights.x : lights.y);
+    lights ^= inFirst ? uvec2(bit, 0u) : uvec2(0u, bit);
+    bvec2 tapped = bvec2(((inFirst ? taps.x : taps.y) & bit) != 0u, ((inFirst ? taps.z : taps.w) & bit) != 0u);
+    sum += shadeWithVal(bitIndex(bit) + (inFirst ? 0 : 32), tapped, surface, rotation);
   }
   return sum;
 }
+#endif
 
 void main() {
   ivec2 at = ivec2(gl_FragCoord.xy);
   Surface surface = fetchSurface(at);
-  vec3 background = texelFetch(uBackground, at, 0).rgb;
-  if (surface.kind < 0) {
-    oRadiance = vec4(background, 0.0);
-    return;
+  vec3 fromVals = vec3(0.0);
+#ifdef LIGHTS
+  if (surface.kind >= 0) {
+    fromVals = shadeWithVals(at, surface);
   }
-  vec3 fromVals = shadeWithVals(at, surface);
+#endif
   vec3 exchanged = vec3(0.0);
   if (uIndirectExchange && uMode == 0) {
     for (int object = 0; object < uNumObjects; object++) {
@@ -93,19 +120,26 @@ void main() {
     }
     exchanged *= surface.albedo * 0.3183098861837907;
   }
-  if (uReceiverRatio && surface.kind == 0) {
-    for (int object = 0; object < uNumObjects; object++) {
-      background *= receiverRatio(object, surface.positionWorld, surface.normalWorld);
-    }
+#ifdef INTERLEAVED
+  float away = length(surface.positionWorld - uWorldFromCamera[3].xyz);
+  oShare = vec4(fromVals, surface.kind > 0 ? -away : away);
+  fromVals = vec3(0.0);
+#endif
+  fromVals *= surface.albedo;
+  oChange = vec4(uMode == 0 ? exchanged - fromVals : fromVals, 0.0);
+#ifdef RECEIVER_RATIO
+  vec3 ratio = vec3(1.0);
+  for (int object = 0; object < uNumObjects && uMode == 0; object++) {
+    ratio *= receiverRatio(object, surface.positionWorld, surface.normalWorld);
   }
-  vec3 radiance;
+  oChange.rgb += texelFetch(uBackground, at, 0).rgb * (ratio - 1.0);
+#endif
+#ifdef OBJECTS
   if (surface.kind > 0) {
-    radiance = max(texelFetch(uIndirect, at, 0).rgb + exchanged, 0.0) + fromVals;
-  } else if (uMode == 0) {
-    radiance = background - fromVals + exchanged;
-  } else {
-    radiance = fromVals;
+    oChange = vec4(max(texelFetch(uIndirect, at, 0).rgb + exchanged, 0.0) + fromVals, 1.0);
   }
-  // A real fragment can fall below zero where the modelled albedo or visibility is too high.
-  oRadiance = vec4(max(radiance, 0.0), surface.kind > 0 ? 1.0 : 0.0);
+#endif
+  if (surface.kind < 0) {
+    oChange = vec4(0.0);
+  }
 }

@@ -1,64 +1,87 @@
 #version 300 es
 precision highp float;
 precision highp int;
-// One fragment per 8x8 tile: a bit for each VAL that can matter there.
+// One fragment per 8x8 tile: which VALs can matter there, which of their shadows must be sampled, and what kind of tile it is.
 #include <octahedral>
 #include <surface>
 #include <val_data>
 #include <object_data>
 #include <shadow_cone>
+#include <shadow_window>
+#include <tile_surfaces>
+#include <shadow_bounds>
 uniform ivec2 uSize;
 uniform int uNumVals;
-layout(location = 0) out uvec4 oMask;
+uniform bool uShadows;
+// Radiance that may be left out of a tile, in all.
+uniform float uBudget;
+// Bits of VALs in x and y, kind of the tile in z.
+layout(location = 0) out uvec4 oLights;
+// Bits of VALs whose visibility among virtual objects (x, y) and in the room (z, w) must be sampled.
+layout(location = 1) out uvec4 oTaps;
 
-const int TILE = 8;
+const uint EMPTY = 0u;
+const uint EXCHANGE_ONLY = 1u;
+const uint REAL = 2u;
+const uint MIXED = 3u;
+
+bool inAnyField(TileSurfaces tile) {
+  for (int object = 0; object < uNumObjects; object++) {
+    vec4 world = vec4(tile.centreWorld, 1.0);
+    vec3 centre = vec3(dot(objectRow(object, 18), world), dot(objectRow(object, 19), world), dot(objectRow(object, 20), world));
+    vec3 halfSize = 0.5 * objectRow(object, 22).xyz;
+    vec3 beyond = abs(centre - objectRow(object, 21).xyz - halfSize) - halfSize;
+    if (max(beyond.x, max(beyond.y, beyond.z)) < tile.radius) {
+      return true;
+    }
+  }
+  return false;
+}
 
 void main() {
   ivec2 first = ivec2(gl_FragCoord.xy) * TILE;
-  ivec2 end = min(first + TILE, uSize);
-  float nearest = 1.0;
-  float farthest = 0.0;
-  bool anyReal = false;
-  bool anyVirtual = false;
-  for (int y = first.y; y < end.y; y++) {
-    for (int x = first.x; x < end.x; x++) {
-      float depth = texelFetch(uDepth, ivec2(x, y), 0).r;
-      if (depth < 1.0) {
-        bool isVirtual = texelFetch(uAlbedo, ivec2(x, y), 0).a > 0.5;
-        anyVirtual = anyVirtual || isVirtual;
-        anyReal = anyReal || !isVirtual;
-        nearest = min(nearest, depth);
-        farthest = max(farthest, depth);
-      }
-    }
-  }
-  oMask = uvec4(0u);
-  uvec2 mask = uvec2(0u);
-  if (!anyReal && !anyVirtual) {
+  TileSurfaces tile = fetchTile(first, min(first + TILE, uSize));
+  oLights = uvec4(0u);
+  oTaps = uvec4(0u);
+  if (!tile.anyReal && !tile.anyVirtual) {
     return;
   }
-  // Ball around the frustum piece that holds all surfaces of the tile.
-  float z0 = distanceFromDepth(nearest);
-  float z1 = distanceFromDepth(farthest);
-  vec2 low = vec2(first) - 0.5;
-  vec2 high = vec2(end) - 0.5;
-  vec3 centre = 0.5 * (cameraPoint(0.5 * (low + high), z0) + cameraPoint(0.5 * (low + high), z1));
-  float radius = 0.0;
-  for (int corner = 0; corner < 8; corner++) {
-    vec2 at = vec2((corner & 1) == 0 ? low.x : high.x, (corner & 2) == 0 ? low.y : high.y);
-    radius = max(radius, distance(centre, cameraPoint(at, (corner & 4) == 0 ? z0 : z1)));
-  }
-  vec3 centreWorld = (uWorldFromCamera * vec4(centre, 1.0)).xyz;
-  // Covers rounding of the positions that the shading pass computes itself.
-  radius = radius * 1.001 + 1e-4;
+  float left = uBudget;
   for (int slot = 0; slot < uNumVals; slot++) {
     Val val = fetchVal(slot);
-    bool dark = max(val.radiantIntensity.r, max(val.radiantIntensity.g, val.radiantIntensity.b)) <= 0.0;
-    bool behind = dot(centreWorld - val.positionWorld, val.normalWorld) < -radius;
-    if (!dark && !behind && (anyVirtual || ballInShadowCone(val, centreWorld, radius))) {
+    float intensity = max(val.radiantIntensity.r, max(val.radiantIntensity.g, val.radiantIntensity.b));
+    vec3 toVal = val.positionWorld - tile.centreWorld;
+    float apart = length(toVal);
+    float angle = acos(clamp(dot(tile.normalAxis, toVal) / max(apart, 1e-6), -1.0, 1.0));
+    float slack = tile.normalAngle + (tile.radius < apart ? asin(tile.radius / apart) : 3.1415927);
+    bool turnedAway = intensity <= 0.0 || angle - slack > 1.5709 || dot(toVal, val.normalWorld) > tile.radius;
+    bool matters = !turnedAway && (tile.anyVirtual || (uShadows && val.hasShadowMap && ballInShadowCone(val, tile.centreWorld, tile.radius)));
+    // Upper bound of the reflected radiance: disc form of protocol/CONVENTIONS.md.
+    float nearest = max(apart - tile.radius, 0.0);
+    float most = tile.mostAlbedo * 0.3183099 * intensity / max(nearest * nearest + val.area * 0.3183099, 1e-9);
+    if (matters && most <= left) {
+      left -= most;
+      matters = false;
+    }
+    bvec2 tapped = bvec2(uShadows && val.hasShadowMap);
+    vec3 centre = toMapAxes(val, -toVal);
+    if (matters && tapped.x && centre.z > 1.5 * (tile.radius + uShadowNear)) {
+      float facing = cos(min(angle + slack, 3.1415927));
+      int amongObjects = decideVirtual(val, slot, tile, centre, facing);
+      bool isPure = !(tile.anyReal && tile.anyVirtual);
+      // Nothing reaches a virtual surface in the dark, and nothing is taken from a real one in the light.
+      matters = !(isPure && amongObjects == (tile.anyVirtual ? DARK : LIT));
+      tapped.x = !(isPure && amongObjects != UNDECIDED);
+      tapped.y = decideRoom(val, slot, tile, centre, facing) == UNDECIDED;
+    }
+    if (matters) {
       uint bit = 1u << uint(slot & 31);
-      mask |= slot < 32 ? uvec2(bit, 0u) : uvec2(0u, bit);
+      uvec2 bits = slot < 32 ? uvec2(bit, 0u) : uvec2(0u, bit);
+      oLights.xy |= bits;
+      oTaps.xy |= tapped.x ? bits : uvec2(0u);
+      oTaps.zw |= tapped.y ? bits : uvec2(0u);
     }
   }
-  oMask = uvec4(mask, 0u, 0u);
+  bool hasLight = (oLights.x | oLights.y) != 0u;
+  oLights.z = tile.anyVirtual ? MIXED : hasLight ? REAL : inAnyField(tile) ? EXCHANGE_ONLY : EMPTY;
 }

@@ -1,143 +1,140 @@
 // Soft shadows of the VAL discs from one depth map per VAL and layer (percentage-closer soft shadows, Fernando 2005).
-// Each atlas is bound twice: once to read depths, once with the hardware comparison. Needs val_data.
+// Everything is kept in places of the map and in inverse depths 1 / z: planes are linear there, so a tap costs a few additions.
+// Each atlas is bound twice: once to read depths, once with the hardware comparison. Needs val_data and shadow_window.
 uniform highp sampler2D uVirtualDepth;
 uniform highp sampler2DShadow uVirtualCompare;
 uniform highp sampler2D uRoomDepth;
 uniform highp sampler2DShadow uRoomCompare;
-uniform float uShadowNear;
-// Tiles per side of the atlas, texels per side of a tile.
-uniform vec2 uShadowLayout;
 uniform int uSearchTaps;
 uniform int uFilterTaps;
+// Fewer taps where the penumbra is narrow.
+uniform bool uAdaptive;
+// Written by shadowTaps.ts: xy in the unit disc, share, distance from the centre.
+uniform vec4 uSearchPoints[48];
+uniform vec2 uFilterPoints[96];
 
-// A receiver in the axes of one shadow map.
+// A receiver in one shadow map.
 struct Receiver {
-  vec3 position;
-  vec3 normal;
-  // Slope of the disc's two half axes: light point = disc * (point of the unit disc).
+  vec2 place;
+  // 1 / z, and its change per place along the receiver's plane.
+  float inverse;
+  vec2 change;
+  // 1 / z at the horizon of that plane: no meeting point beyond.
+  float horizon;
+  float steepness;
+  // Change of place per unit of 1 / z, for points of the unit disc turned by the pattern's angle.
   mat2 disc;
-  // Pattern of the taps, turned by this angle.
-  float turn;
-  vec2 tileOrigin;
+  // The same for one texel.
+  mat2 texel;
+  float texelSlope;
+  vec2 origin;
 };
 
 // Fixed per fragment, so still pictures do not shimmer (Jimenez 2014).
-float interleavedNoise(vec2 fragment) {
-  return fract(52.9829189 * fract(dot(fragment, vec2(0.06711056, 0.00583715))));
+mat2 tapRotation(vec2 fragment) {
+  float noise = fract(52.9829189 * fract(dot(fragment, vec2(0.06711056, 0.00583715))));
+  float turn = 6.283185307179586 * noise;
+  return mat2(cos(turn), sin(turn), -sin(turn), cos(turn));
 }
 
-vec2 vogelPoint(int i, int count, float turn) {
-  float angle = float(i) * 2.399963229728653 + turn;
-  return sqrt((float(i) + 0.5) / float(count)) * vec2(cos(angle), sin(angle));
-}
-
-// Denser towards the centre, where alone blockers close to the receiver are found; `share` makes up for the density.
-vec2 searchPoint(int i, int count, float turn, out float share) {
-  float t = (float(i) + 0.25) / float(count);
-  float angle = float(i) * 2.399963229728653 + turn;
-  share = t * t * t;
-  return t * t * vec2(cos(angle), sin(angle));
-}
-
-vec3 toMapAxes(Val val, vec3 v) {
-  return vec3(dot(val.right, v), dot(val.up, v), dot(val.axis, v));
-}
-
-Receiver makeReceiver(Val val, int slot, vec3 positionWorld, vec3 normalWorld, float turn) {
+Receiver makeReceiver(Val val, int slot, vec3 positionWorld, vec3 normalWorld, mat2 rotation) {
   Receiver receiver;
-  receiver.position = toMapAxes(val, positionWorld - val.positionWorld);
-  receiver.normal = toMapAxes(val, normalWorld);
-  vec3 n = toMapAxes(val, val.normalWorld);
-  vec3 first = normalize(abs(n.x) < 0.7 ? cross(n, vec3(1.0, 0.0, 0.0)) : cross(n, vec3(0.0, 1.0, 0.0)));
-  vec3 second = cross(n, first);
-  receiver.disc = mat2(first.xy, second.xy) * val.discRadius;
-  receiver.turn = turn;
-  int side = int(uShadowLayout.x);
-  receiver.tileOrigin = vec2(slot % side, slot / side);
+  vec3 position = toMapAxes(val, positionWorld - val.positionWorld);
+  vec3 normal = toMapAxes(val, normalWorld);
+  receiver.inverse = 1.0 / position.z;
+  vec2 slope = position.xy * receiver.inverse;
+  receiver.place = slope * val.scale + val.offset;
+  float plane = min(dot(normal, position), -1e-6);
+  receiver.change = normal.xy / (plane * val.scale);
+  receiver.horizon = -1e-3 / plane;
+  float facing = dot(normal, vec3(slope, 1.0));
+  receiver.steepness = min(length(normal.xy) / max(-facing, 0.05), 8.0);
+  mat2 disc = discAxes(val);
+  disc[0] *= val.scale;
+  disc[1] *= val.scale;
+  receiver.disc = disc * rotation;
+  receiver.texelSlope = slopePerTexel(val);
+  vec2 texel = val.scale * receiver.texelSlope;
+  receiver.texel = mat2(texel.x, 0.0, 0.0, texel.y) * rotation;
+  receiver.origin = tileOrigin(slot);
   return receiver;
 }
 
-// Depth at which the tangent plane of the receiver meets the ray with this slope, moved towards the VAL by the slope of one texel:
-// a flat receiver never shades itself, however wide the filter is.
-float receiverDepth(Receiver receiver, Val val, vec2 slope, float steepest) {
-  float plane = dot(receiver.normal, receiver.position);
-  float facing = dot(receiver.normal, vec3(slope, 1.0));
-  float z = receiver.position.z;
-  // Beyond the horizon of the plane there is no meeting point: fall back to a plane facing the VAL.
-  float meeting = facing < -1e-3 && plane < 0.0 ? clamp(plane / facing, 0.5 * z, 2.0 * z) : z;
-  float texelSlope = max(1.0 / val.scale.x, 1.0 / val.scale.y) / uShadowLayout.y;
-  float steepness = min(length(receiver.normal.xy) / max(-facing, 0.05), steepest);
-  float bias = meeting * texelSlope * (0.7 + steepness) + 0.0005;
-  return 1.0 - uShadowNear / max(meeting - bias, uShadowNear);
+// Factor and summand that move an inverse depth towards the VAL.
+vec2 biasOf(Receiver receiver, float steepness) {
+  return vec2(1.0 / (1.0 - shadowBias(receiver.texelSlope, steepness)), SHADOW_OFFSET * receiver.inverse * receiver.inverse);
 }
 
-// Atlas coordinate, clamped to the tile; z < 0.5 when the slope lies outside the tile.
-vec3 atlasPlace(Receiver receiver, Val val, vec2 slope) {
-  vec2 place = slope * val.scale + val.offset;
-  bool inside = all(greaterThanEqual(place, vec2(0.0))) && all(lessThanEqual(place, vec2(1.0)));
+// Inverse depth of the receiver's plane in a place, towards which blockers are compared.
+float planeInverse(Receiver receiver, vec2 bias, vec2 place) {
+  float meeting = receiver.inverse + dot(receiver.change, place - receiver.place);
+  meeting = meeting > receiver.horizon ? clamp(meeting, 0.5 * receiver.inverse, 2.0 * receiver.inverse) : receiver.inverse;
+  return meeting * bias.x + bias.y;
+}
+
+vec2 keptPlace(vec2 place) {
   float margin = 0.5 / uShadowLayout.y;
-  vec2 kept = clamp(place, margin, 1.0 - margin);
-  return vec3((receiver.tileOrigin + kept) / uShadowLayout.x, inside ? 1.0 : 0.0);
+  return clamp(place, margin, 1.0 - margin);
 }
 
-vec2 keptSlope(Receiver receiver, Val val, vec3 place, vec2 slope, bool beyond) {
-  // What goes on as at the border is compared with the receiver's plane at the border.
-  return beyond && place.z < 0.5 ? (place.xy * uShadowLayout.x - receiver.tileOrigin - val.offset) / val.scale : slope;
-}
-
-// Mean depth of what hides the disc, or a negative number when nothing does. `beyond`: what lies outside the window goes on as at its
-// border (the room), or is empty (virtual objects, which the window holds whole).
-float meanBlockerDepth(sampler2D depths, Receiver receiver, Val val, float nearest, bool beyond) {
-  vec2 slope = receiver.position.xy / receiver.position.z;
-  float inverse = 1.0 / receiver.position.z;
-  float reach = max(1.0 / nearest - inverse, 0.0);
+// Mean inverse depth of what hides the disc, or a negative number when nothing does. `goesOn`: what lies outside the window goes on as
+// at its border (the room), or is empty (virtual objects, which the window holds whole).
+float meanBlocker(sampler2D depths, Receiver receiver, float nearest, vec2 bias, bool goesOn, int taps) {
+  float reach = max(1.0 / nearest - receiver.inverse, 0.0);
   // At least one texel, so that a tiny disc still finds what its filter will see.
-  float texelSlope = max(1.0 / val.scale.x, 1.0 / val.scale.y) / uShadowLayout.y;
+  mat2 spread = receiver.disc * reach + receiver.texel;
+  float nearer = 0.1 * receiver.texelSlope;
   float sum = 0.0;
   float count = 0.0;
-  for (int i = 0; i < uSearchTaps; i++) {
-    float share;
-    vec2 unit = searchPoint(i, uSearchTaps, receiver.turn, share);
-    vec2 tap = slope + receiver.disc * unit * reach + unit * texelSlope;
-    vec3 place = atlasPlace(receiver, val, tap);
-    float depth = textureLod(depths, place.xy, 0.0).r;
+  for (int i = 0; i < taps; i++) {
+    vec4 tap = uSearchPoints[i];
+    vec2 place = receiver.place + spread * tap.xy;
+    vec2 kept = keptPlace(place);
+    float found = (1.0 - textureLod(depths, (receiver.origin + kept) / uShadowLayout.x, 0.0).r) / uShadowNear;
     // A blocker counts only if it stands between the receiver and a point of the disc.
-    float own = (1.0 - depth) / uShadowNear - inverse;
-    bool blocks = (beyond || place.z > 0.5) && depth < receiverDepth(receiver, val, keptSlope(receiver, val, place, tap, beyond), beyond ? 8.0 : 0.0) && own * 1.05 + 0.1 * texelSlope >= length(unit) * reach;
-    sum += blocks ? share * depth : 0.0;
-    count += blocks ? share : 0.0;
+    bool blocks = (goesOn || insideWindow(place)) && found > planeInverse(receiver, bias, goesOn ? kept : place) &&
+      (found - receiver.inverse) * 1.05 + nearer >= tap.w * reach;
+    sum += blocks ? tap.z * found : 0.0;
+    count += blocks ? tap.z : 0.0;
   }
   return count > 0.0 ? sum / count : -1.0;
 }
 
-float filteredVisibility(sampler2DShadow compared, Receiver receiver, Val val, float blockerDepth, bool beyond) {
-  vec2 slope = receiver.position.xy / receiver.position.z;
-  // Depth is linear in 1/z, so the penumbra w = D (z_r - z_b) / (z_r z_b) in slopes is D times a difference of depths.
-  float spread = max((1.0 - blockerDepth) / uShadowNear - 1.0 / receiver.position.z, 0.0);
+float filteredVisibility(sampler2DShadow compared, Receiver receiver, float blocker, vec2 bias, bool goesOn, int taps) {
+  // The penumbra w = D (z_r - z_b) / (z_r z_b) in slopes is D times a difference of inverse depths.
+  mat2 spread = receiver.disc * max(blocker - receiver.inverse, 0.0);
+  int count = taps;
+  if (uAdaptive) {
+    // Radius of the penumbra in texels, squared: comparisons are bilinear, so a tap per texel of its area is enough.
+    float area = max(dot(spread[0], spread[0]), dot(spread[1], spread[1])) * uShadowLayout.y * uShadowLayout.y;
+    count = min(taps, int(4.0 + 3.0 * area));
+  }
+  // The first points of the spiral of `uFilterTaps` lie in its middle.
+  spread *= sqrt(float(uFilterTaps) / float(max(count, 1)));
   float seen = 0.0;
-  for (int i = 0; i < uFilterTaps; i++) {
-    vec2 tap = slope + receiver.disc * vogelPoint(i, uFilterTaps, receiver.turn) * spread;
-    vec3 place = atlasPlace(receiver, val, tap);
-    float lit = textureLod(compared, vec3(place.xy, receiverDepth(receiver, val, keptSlope(receiver, val, place, tap, beyond), beyond ? 8.0 : 0.0)), 0.0);
-    seen += beyond || place.z > 0.5 ? lit : 1.0;
+  for (int i = 0; i < count; i++) {
+    vec2 place = receiver.place + spread * uFilterPoints[i];
+    vec2 kept = keptPlace(place);
+    float depth = 1.0 - uShadowNear * planeInverse(receiver, bias, goesOn ? kept : place);
+    float lit = textureLod(compared, vec3((receiver.origin + kept) / uShadowLayout.x, depth), 0.0);
+    seen += goesOn || insideWindow(place) ? lit : 1.0;
   }
-  return seen / float(uFilterTaps);
+  return count > 0 ? seen / float(count) : 1.0;
 }
 
-float virtualVisibility(Receiver receiver, Val val) {
-  if (receiver.position.z <= uShadowNear) {
-    return 1.0;
-  }
-  float nearest = min(val.nearestCaster, receiver.position.z);
-  float blocker = meanBlockerDepth(uVirtualDepth, receiver, val, nearest, false);
-  return blocker < 0.0 ? 1.0 : filteredVisibility(uVirtualCompare, receiver, val, blocker, false);
+// `wanted`: without it the answer is 1 and no tap is read.
+float virtualVisibility(Receiver receiver, Val val, bool wanted) {
+  bool reached = wanted && receiver.inverse > 0.0 && receiver.inverse < 1.0 / uShadowNear;
+  vec2 bias = biasOf(receiver, 0.0);
+  float nearest = min(val.nearestCaster, 1.0 / receiver.inverse);
+  float blocker = meanBlocker(uVirtualDepth, receiver, nearest, bias, false, reached ? uSearchTaps : 0);
+  return filteredVisibility(uVirtualCompare, receiver, blocker, bias, false, blocker < 0.0 ? 0 : uFilterTaps);
 }
 
-float roomVisibility(Receiver receiver, Val val) {
-  if (receiver.position.z <= uShadowNear) {
-    return 1.0;
-  }
+float roomVisibility(Receiver receiver, Val val, bool wanted) {
+  bool reached = wanted && receiver.inverse > 0.0 && receiver.inverse < 1.0 / uShadowNear;
+  vec2 bias = biasOf(receiver, receiver.steepness);
   // Real blockers may stand anywhere; a search wider than three discs would miss the small ones between its taps.
-  float blocker = meanBlockerDepth(uRoomDepth, receiver, val, 0.25 * receiver.position.z, true);
-  return blocker < 0.0 ? 1.0 : filteredVisibility(uRoomCompare, receiver, val, blocker, true);
+  float blocker = meanBlocker(uRoomDepth, receiver, 0.25 / receiver.inverse, bias, true, reached ? uSearchTaps : 0);
+  return filteredVisibility(uRoomCompare, receiver, blocker, bias, true, blocker < 0.0 ? 0 : uFilterTaps);
 }
