@@ -91,7 +91,7 @@ export class GpuState {
       background: radiance('background'),
       tiles: this.tiles.makeTarget(width, height),
       change: radiance('change'),
-      shares: new Target(gl, 'shares', width, height, [radianceFormat, radianceFormat]),
+      shares: new Target(gl, 'shares', width, height, [gl.RGBA16F, gl.RGBA16F]),
       scratch: radiance('scratch'),
       coverage: new CoveragePass(gl, width, height),
     }

@@ -13,9 +13,11 @@ import { lightObject } from './lightSetup'
 import { MAX_OBJECTS, type ObjectState, packObjects, worldCentre } from './objectData'
 import type { CameraState, Frame } from './passes/frame'
 import type { ShadingMode } from './passes/shadePass'
+import { type Key, OPTION_KEYS } from './passKeys'
 import { PassRunner } from './passRunner'
 import { pickSurface } from './pick'
 import { LIVE_MAPS_PER_FRAME, ShadowMaps } from './shadowMaps'
+import { StreamedAtlas } from './streamedAtlas'
 import {
   type CameraChoice,
   DEFAULT_OPTIONS,
@@ -26,52 +28,10 @@ import {
 } from './types'
 import { fromRowMajor } from './vector'
 
-/** Everything that a pass can depend on. */
-type Key =
-  | 'size'
-  | 'camera'
-  | 'poses'
-  | 'light'
-  | 'weights'
-  | 'atlas'
-  | 'shading options'
-  | 'shadow option'
-  | 'negligible light'
-  | 'quality'
-  | 'edges'
-  | 'display options'
-  | 'object light'
-  | 'background'
-  | 'shadow maps'
-  | 'light data'
-  | 'gbuffer'
-  | 'tiles'
-  | 'change'
-  | 'coverage'
-  | 'resolved'
-
-const OPTION_KEYS: Readonly<Record<keyof RendererOptions, Key>> = {
-  exposure: 'display options',
-  showVals: 'display options',
-  selectedObject: 'display options',
-  softClip: 'display options',
-  shadows: 'shadow option',
-  indirectOcclusion: 'shading options',
-  tiled: 'shading options',
-  fixtureRays: 'shading options',
-  roomShadows: 'shading options',
-  receiverRatio: 'shading options',
-  fullQuality: 'quality',
-  antiAliasing: 'edges',
-}
-
 /** Share of white that the VALs left out of a tile may amount to while the picture is live. */
 const NEGLIGIBLE = 0.5 / 255
 /** Exposures within this factor share one choice of VALs, so the error stays below 2 NEGLIGIBLE. */
 const EXPOSURE_SLACK = 2
-
-/** Side of a streamed atlas tile, texels. */
-const ATLAS_TILE = 32
 
 export interface PickedSurface {
   /** -1 = a real surface. */
@@ -88,8 +48,7 @@ export class Renderer {
   readonly #maps = new ShadowMaps()
   readonly #poses: Float32Array[]
   readonly #changedSlots = new Uint8Array(MAX_VALS)
-  readonly #atlasTiles = new Map<number, Uint32Array>()
-  #atlasSize = { width: 0, height: 0 }
+  readonly #atlas = new StreamedAtlas()
   #vals = new Float32Array(MAX_VALS * 16)
   #valCount = 0
   #objectSh: Float32Array
@@ -185,24 +144,8 @@ export class Renderer {
 
   /** Streamed radiance of the room, for cameras without pictures. */
   updateAtlas(tiles: AtlasTiles): void {
-    if (tiles.width !== this.#atlasSize.width || tiles.height !== this.#atlasSize.height) {
-      this.#atlasTiles.clear()
-      this.#atlasSize = { width: tiles.width, height: tiles.height }
-    }
-    const texelsPerTile = ATLAS_TILE * ATLAS_TILE
-    for (let i = 0; 2 * i + 1 < tiles.positions.length; i++) {
-      const column = tiles.positions[2 * i] ?? 0
-      const row = tiles.positions[2 * i + 1] ?? 0
-      const texels = tiles.texels.slice(i * texelsPerTile, (i + 1) * texelsPerTile)
-      this.#atlasTiles.set(row * tiles.width + column, texels)
-      this.#uploadTile(column, row, texels)
-    }
+    this.#atlas.update(tiles, this.#gpu)
     this.#runner.touch('atlas')
-  }
-
-  #uploadTile(column: number, row: number, texels: Uint32Array): void {
-    const { width, height } = this.#atlasSize
-    this.#gpu.writeAtlas(width, height, column * ATLAS_TILE, row * ATLAS_TILE, ATLAS_TILE, texels)
   }
 
   setOptions(partial: Partial<RendererOptions>): void {
@@ -486,9 +429,7 @@ export class Renderer {
     this.#lost = false
     this.#runner.reset()
     this.#maps.invalidate()
-    for (const [key, texels] of this.#atlasTiles) {
-      this.#uploadTile(key % this.#atlasSize.width, Math.floor(key / this.#atlasSize.width), texels)
-    }
+    this.#atlas.restore(this.#gpu)
   }
 
   dispose(): void {

@@ -122,7 +122,8 @@ void main() {
   }
 #ifdef INTERLEAVED
   float away = length(surface.positionWorld - uWorldFromCamera[3].xyz);
-  oShare = vec4(fromVals, surface.kind > 0 ? -away : away);
+  // Kept in half floats, which end at 65504.
+  oShare = vec4(min(fromVals, 65000.0), surface.kind > 0 ? -away : away);
   fromVals = vec3(0.0);
 #endif
   fromVals *= surface.albedo;
