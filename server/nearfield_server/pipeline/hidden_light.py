@@ -32,7 +32,7 @@ from nearfield_server.pipeline.hidden_receivers import (
 from nearfield_server.pipeline.probes import SightTracer
 from nearfield_server.pipeline.receiver_patches import PATCH_TEXELS, find_patches
 from nearfield_server.radiometry.cube import cube_directions, cube_solid_angles
-from nearfield_server.radiometry.half import HALF_MAX
+from nearfield_server.radiometry.half import HALF_MAX, prefetch
 from nearfield_server.records import RoomMesh, TexelGeometry, UnseenFill
 
 _MAX_GROUPS: Final = 160
@@ -47,6 +47,7 @@ MIN_RECEIVERS: Final = RECEIVERS // 2
 _PATCH_REACH: Final = 0.1
 """Radius of the patch around a receiver, relative to the distance of the hidden surface."""
 _WELD: Final = 1e-5
+_AHEAD: Final = 32
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -209,9 +210,13 @@ def _hidden_surfaces(
 
 @njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
 def _visible_irradiance(ray_start: Any, ray_texel: Any, ray_weight: Any, radiance: Any, out: Any) -> None:
+    address, num_rays = radiance.ctypes.data, ray_texel.shape[0]
     for receiver in range(out.shape[0]):
         red, green, blue = 0.0, 0.0, 0.0
         for ray in range(ray_start[receiver], ray_start[receiver + 1]):
+            # Texels lie anywhere in memory: ask for them early.
+            ahead = ray_texel[min(ray + _AHEAD, num_rays - 1)]
+            prefetch(address + np.int64(ahead) * radiance.strides[0])
             texel = ray_texel[ray]
             weight = np.float64(ray_weight[ray])
             red += weight * radiance[texel, 0]
