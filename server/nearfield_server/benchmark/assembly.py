@@ -133,7 +133,7 @@ def _settings(setup: BenchSetup) -> dict[str, Any]:
         "quick": setup.quick,
         "tiny": setup.tiny,
         "backend": setup.backend,
-        "bundles": [str(path) for path in setup.bundles],
+        "bundles": [path.name for path in setup.bundles],
     }
 
 

@@ -117,11 +117,12 @@ def _page(out: Path, report: dict[str, Any], figures: dict[str, str]) -> str:
         _client(report["client"]),
         _growth(report["growth"], figures),
         "<h2>Steadiness in time</h2>",
-        _plain(report["temporal"]),
+        _temporal(report["temporal"]),
         "<h2>Latency</h2>",
         _plain(report["latency"]),
         "<h2>This run</h2>",
-        _plain({"machine": report["machine"], "versions": report["versions"], "parts": report["parts"]}),
+        _plain({"machine": report["machine"], "versions": report["versions"]}),
+        _list([{"part": name} | _flat(state) for name, state in report["parts"].items()]),
         "</html>\n",
     ]
     return "\n".join(parts)
@@ -216,6 +217,16 @@ def _growth(section: dict[str, Any], figures: dict[str, str]) -> str:
         f"<h3>{words}</h3>{figures[name]}" for name, (words, _, _) in _GROWTH.items() if name in figures
     ]
     return "\n".join(parts)
+
+
+def _temporal(section: dict[str, Any]) -> str:
+    rooms = section.get("rooms")
+    return _plain(section) if rooms is None else _list([_flat(room) for room in rooms])
+
+
+def _flat(values: dict[str, Any]) -> dict[str, Any]:
+    """Without what is nested: bench.json has it."""
+    return {key: value for key, value in values.items() if not isinstance(value, dict | list)}
 
 
 def _plain(value: Any) -> str:
