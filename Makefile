@@ -72,7 +72,8 @@ lint: $(PYTHON_STAMP) $(NODE_STAMP)  ## style, types, layering, generated files
 
 unit: $(PYTHON_STAMP) $(CLIENT_BUILD) $(BENCH_BUILD)  ## unit, service and browser tests
 	cd client_web && $(WITH_ENV) npm test --silent
-	$(BIN)/python -m pytest
+	# glibc overwrites freed memory, so that what still uses it is found.
+	MALLOC_PERTURB_=165 $(BIN)/python -m pytest
 
 lock: $(PYTHON_STAMP)  ## renew the lock files within the ranges of pyproject.toml and package.json
 	$(BIN)/uv pip compile --quiet --universal --python-version 3.11 --all-extras --generate-hashes --upgrade \

@@ -160,9 +160,11 @@ def _gather_blocks(
     block_max: Any,
     changed: Any,
     energy: Any,
+    scratch: Any,
 ) -> None:
-    buffer = np.zeros((BLOCK + 1) * ACCUMULATOR_BYTES // 4, dtype=np.float32)
-    accumulators = (buffer.ctypes.data + ACCUMULATOR_BYTES - 1) // ACCUMULATOR_BYTES * ACCUMULATOR_BYTES
+    # The caller owns this memory: an array made here would be freed as soon as only its address is used.
+    accumulators = (scratch.ctypes.data + ACCUMULATOR_BYTES - 1) // ACCUMULATOR_BYTES * ACCUMULATOR_BYTES
+    accumulators += chunk * BLOCK * ACCUMULATOR_BYTES
     tap_address, radiance_address = taps.ctypes.data, radiance.ctypes.data
     levels = energy[chunk]
     for position in range(first, last):
@@ -227,6 +229,8 @@ def gather(
     chosen = np.arange(table.num_blocks, dtype=np.int32) if blocks is None else blocks
     num_chunks = 1 if chosen.size < 2 * pool.num_threads else pool.num_threads
     energy = np.zeros((num_chunks, 3, LEVELS), dtype=np.int64)
+    # One accumulator more, for aligning the first.
+    scratch = np.zeros((num_chunks * BLOCK + 1) * ACCUMULATOR_BYTES // 4, dtype=np.float32)
     pool.run(
         _gather_blocks,
         chosen.size,
@@ -245,6 +249,7 @@ def gather(
         atlas.block_max,
         changed,
         energy,
+        scratch,
         num_chunks=num_chunks,
     )
     total = energy.sum(axis=0)
