@@ -7,7 +7,6 @@ import objectData from './shaders/chunks/object_data.glsl?raw'
 import octahedral from './shaders/chunks/octahedral.glsl?raw'
 import shBasis from './shaders/chunks/sh_basis.glsl?raw'
 import shadow from './shaders/chunks/shadow.glsl?raw'
-import shadowBoundsChunk from './shaders/chunks/shadow_bounds.glsl?raw'
 import shadowCone from './shaders/chunks/shadow_cone.glsl?raw'
 import shadowWindow from './shaders/chunks/shadow_window.glsl?raw'
 import surface from './shaders/chunks/surface.glsl?raw'
@@ -28,7 +27,6 @@ import roomFragment from './shaders/room.frag?raw'
 import roomVertex from './shaders/room.vert?raw'
 import screen from './shaders/screen.vert?raw'
 import shade from './shaders/shade.frag?raw'
-import shadowBounds from './shaders/shadow_bounds.frag?raw'
 import shadowMapFragment from './shaders/shadow_map.frag?raw'
 import shadowMapVertex from './shaders/shadow_map.vert?raw'
 import tileVertex from './shaders/tile.vert?raw'
@@ -45,7 +43,6 @@ const CHUNKS: Readonly<Record<string, string>> = {
   octahedral,
   sh_basis: shBasis,
   shadow,
-  shadow_bounds: shadowBoundsChunk,
   shadow_cone: shadowCone,
   shadow_window: shadowWindow,
   surface,
@@ -89,8 +86,6 @@ export const SHADERS = {
   gbufferRoom: { vertex: gbufferRoomVertex, fragment: resolveIncludes(gbufferRoomFragment) },
   gbufferObject: { vertex: gbufferObjectVertex, fragment: resolveIncludes(gbufferObjectFragment) },
   shadowMap: { vertex: shadowMapVertex, fragment: shadowMapFragment },
-  shadowBounds: screenPass(shadowBounds),
-  shadowBoundsOfDepth: screenPass(shadowBounds, ['FROM_DEPTH']),
   tiles: screenPass(tiles),
   shade: screenPass(shade, ['LIGHTS', 'OBJECTS']),
   shadeReceiverRatio: screenPass(shade, ['LIGHTS', 'OBJECTS', 'RECEIVER_RATIO']),

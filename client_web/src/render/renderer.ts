@@ -279,7 +279,7 @@ export class Renderer {
         'tiles',
         ['gbuffer', 'light data', 'shadow option', 'quality', 'negligible light'],
         ['tiles'],
-        () => gpu.tiles.run(targets.tiles, frame, targets.gbuffer, this.#shadowPass(), negligible),
+        () => gpu.tiles.run(targets.tiles, frame, targets.gbuffer, negligible),
       )
     } else {
       runner.skip('tiles', 'switched off')

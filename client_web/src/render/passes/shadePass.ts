@@ -145,7 +145,6 @@ export class ShadePass {
         uIndirect: gbuffer.colour(2),
         uDepth: gbuffer.depthTexture(),
         uTileLights: tiles.colour(0),
-        uTileTaps: tiles.colour(1),
         uValData: frame.valData.binding(),
         uObjectData: frame.objectData.binding(),
         ...shadows.bindings(),

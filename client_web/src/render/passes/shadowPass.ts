@@ -1,5 +1,4 @@
 import { MAX_VALS } from '../../radiometry/valLight'
-import { drawScreen } from '../device'
 import { FIXTURE_SHARE } from '../fixtureVisibility'
 import { Program, type TextureBinding } from '../gl/program'
 import { Target } from '../gl/targets'
@@ -14,12 +13,8 @@ import type { Frame } from './frame'
 export const TILES_PER_SIDE = Math.sqrt(MAX_VALS)
 const IDENTITY = new Float32Array([1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1])
 
-/** Of one layer: cells of 4 and of 16 texels. */
-type BoundsLevels = readonly [Target, Target]
-
 /**
- * Depth maps of the room and of the virtual objects, one tile per VAL and layer (Rohmer et al. 2014, section 5), and bounds
- * of their depths in squares of texels.
+ * Depth maps of the room and of the virtual objects, one tile per VAL and layer (Rohmer et al. 2014, section 5).
  *
  * The room casts with the faces that the VAL sees, so a VAL just behind a surface is not hidden by it. Virtual objects cast with the
  * faces turned away, so neither their lit side nor what they stand on is shaded by rounding.
@@ -30,9 +25,6 @@ export class ShadowPass {
   readonly #compare: WebGLSampler
   readonly #room: Target
   readonly #virtual: Target
-  readonly #bounds: readonly [BoundsLevels, BoundsLevels]
-  readonly #boundsOfDepth: Program
-  readonly #boundsOfBounds: Program
 
   constructor(
     gl: WebGL2RenderingContext,
@@ -44,13 +36,6 @@ export class ShadowPass {
     const depth = gl.DEPTH_COMPONENT32F
     this.#room = new Target(gl, 'shadow maps of the room', size, size, [], depth)
     this.#virtual = new Target(gl, 'shadow maps of the objects', size, size, [], depth)
-    this.#boundsOfDepth = new Program(gl, 'bounds of shadow maps', SHADERS.shadowBoundsOfDepth)
-    this.#boundsOfBounds = new Program(gl, 'bounds of shadow maps', SHADERS.shadowBounds)
-    const levels = (): BoundsLevels => [
-      new Target(gl, 'fine bounds of shadow maps', size / 4, size / 4, [gl.RG16F]),
-      new Target(gl, 'coarse bounds of shadow maps', size / 16, size / 16, [gl.RG16F]),
-    ]
-    this.#bounds = [levels(), levels()]
     this.#compare = gl.createSampler()
     gl.samplerParameteri(this.#compare, gl.TEXTURE_COMPARE_MODE, gl.COMPARE_REF_TO_TEXTURE)
     gl.samplerParameteri(this.#compare, gl.TEXTURE_COMPARE_FUNC, gl.LEQUAL)
@@ -95,27 +80,7 @@ export class ShadowPass {
     gl.cullFace(gl.BACK)
     gl.disable(gl.CULL_FACE)
     gl.disable(gl.DEPTH_TEST)
-    const changed = (layer: 'room' | 'virtual'): number[] =>
-      work.filter((each) => each[layer] && fits[each.slot]).map(({ slot }) => slot)
-    this.#findBounds(this.#room, this.#bounds[0], changed('room'))
-    this.#findBounds(this.#virtual, this.#bounds[1], changed('virtual'))
     gl.disable(gl.SCISSOR_TEST)
-  }
-
-  #findBounds(maps: Target, [fine, coarse]: BoundsLevels, slots: readonly number[]): void {
-    const gl = this.#gl
-    for (const { target, source, program, cell } of [
-      { target: fine, source: maps.depthTexture(), program: this.#boundsOfDepth, cell: 4 },
-      { target: coarse, source: fine.colour(), program: this.#boundsOfBounds, cell: 16 },
-    ]) {
-      target.bind()
-      program.use().textures({ uSource: source }).float('uShadowNear', SHADOW_NEAR)
-      const side = this.tileSize / cell
-      for (const slot of slots) {
-        gl.scissor((slot % TILES_PER_SIDE) * side, Math.floor(slot / TILES_PER_SIDE) * side, side, side)
-        drawScreen(gl)
-      }
-    }
   }
 
   #aim(slot: number, position: Vec3, fit: ShadowFit): void {
@@ -153,21 +118,8 @@ export class ShadowPass {
     }
   }
 
-  /** Samplers of chunks/shadow_bounds.glsl. */
-  boundsBindings(): Record<string, TextureBinding> {
-    const [room, virtual] = this.#bounds
-    return {
-      uVirtualBoundsFine: virtual[0].colour(),
-      uVirtualBoundsCoarse: virtual[1].colour(),
-      uRoomBoundsFine: room[0].colour(),
-      uRoomBoundsCoarse: room[1].colour(),
-    }
-  }
-
   dispose(): void {
-    for (const part of [this.#program, this.#boundsOfDepth, this.#boundsOfBounds, ...this.#bounds.flat()]) {
-      part.dispose()
-    }
+    this.#program.dispose()
     this.#room.dispose()
     this.#virtual.dispose()
     this.#gl.deleteSampler(this.#compare)

@@ -22,7 +22,6 @@ uniform highp sampler2D uIndirect;
 uniform highp sampler2D uBackground;
 #endif
 uniform highp usampler2D uTileLights;
-uniform highp usampler2D uTileTaps;
 uniform bool uTiled;
 uniform int uNumVals;
 uniform bool uShadows;
@@ -38,9 +37,8 @@ layout(location = 1) out vec4 oShare;
 #endif
 
 #ifdef LIGHTS
-// Radiance per unit albedo that a VAL adds to (virtual) or that virtual objects take from (real) this surface. `tapped`: whether a tile leaves the
-// visibility among virtual objects (x) and in the room (y) open; if not, the former is 0 for real and 1 for virtual fragments, the latter 1.
-vec3 shadeWithVal(int slot, bvec2 tapped, Surface surface, mat2 rotation) {
+// Radiance per unit albedo that a VAL adds to (virtual) or that virtual objects take from (real) this surface.
+vec3 shadeWithVal(int slot, Surface surface, mat2 rotation) {
   Val val = fetchVal(slot);
   vec3 irradiance = valIrradiance(val, surface.positionWorld, surface.normalWorld);
   bool lit = max(irradiance.r, max(irradiance.g, irradiance.b)) > 0.0;
@@ -59,9 +57,9 @@ vec3 shadeWithVal(int slot, bvec2 tapped, Surface surface, mat2 rotation) {
   bool inCone = !isReal || ballInShadowCone(val, surface.positionWorld, 0.0);
 #endif
   Receiver receiver = makeReceiver(val, slot, surface.positionWorld, surface.normalWorld, rotation);
-  float amongObjects = isReal && !tapped.x && mapped && inCone ? 0.0 : virtualVisibility(receiver, val, tapped.x && mapped && inCone);
+  float amongObjects = virtualVisibility(receiver, val, mapped && inCone);
   bool needsRoom = !isReal || uMode != 0 ? amongObjects > 0.0 || uMode == 1 : amongObjects < 1.0;
-  float inRoom = roomVisibility(receiver, val, uRoomShadows && tapped.y && mapped && needsRoom);
+  float inRoom = roomVisibility(receiver, val, uRoomShadows && mapped && needsRoom);
   if (!isReal) {
     return radiance * (inRoom * amongObjects);
   }
@@ -79,10 +77,8 @@ vec3 shadeWithVals(ivec2 at, Surface surface) {
   mat2 rotation = tapRotation(vec2(at));
 #endif
   uvec2 lights = uvec2(0xffffffffu);
-  uvec4 taps = uvec4(0xffffffffu);
   if (uTiled) {
     lights = texelFetch(uTileLights, at / 8, 0).xy;
-    taps = texelFetch(uTileTaps, at / 8, 0);
   }
   lights.x &= uNumVals >= 32 ? 0xffffffffu : (1u << uint(uNumVals)) - 1u;
   lights.y &= uNumVals >= 64 ? 0xffffffffu : uNumVals <= 32 ? 0u : (1u << uint(uNumVals - 32)) - 1u;
@@ -95,8 +91,7 @@ vec3 shadeWithVals(ivec2 at, Surface surface) {
     bool inFirst = lights.x != 0u;
     uint bit = lowestBit(inFirst ? lights.x : lights.y);
     lights ^= inFirst ? uvec2(bit, 0u) : uvec2(0u, bit);
-    bvec2 tapped = bvec2(((inFirst ? taps.x : taps.y) & bit) != 0u, ((inFirst ? taps.z : taps.w) & bit) != 0u);
-    sum += shadeWithVal(bitIndex(bit) + (inFirst ? 0 : 32), tapped, surface, rotation);
+    sum += shadeWithVal(bitIndex(bit) + (inFirst ? 0 : 32), surface, rotation);
   }
   return sum;
 }

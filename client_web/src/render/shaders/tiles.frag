@@ -1,15 +1,13 @@
 #version 300 es
 precision highp float;
 precision highp int;
-// One fragment per 8x8 tile: which VALs can matter there, which of their shadows must be sampled, and what kind of tile it is.
+// One fragment per 8x8 tile: which VALs can matter there, and what kind of tile it is.
 #include <octahedral>
 #include <surface>
 #include <val_data>
 #include <object_data>
 #include <shadow_cone>
-#include <shadow_window>
 #include <tile_surfaces>
-#include <shadow_bounds>
 uniform ivec2 uSize;
 uniform int uNumVals;
 uniform bool uShadows;
@@ -17,8 +15,6 @@ uniform bool uShadows;
 uniform float uBudget;
 // Bits of VALs in x and y, kind of the tile in z.
 layout(location = 0) out uvec4 oLights;
-// Bits of VALs whose visibility among virtual objects (x, y) and in the room (z, w) must be sampled.
-layout(location = 1) out uvec4 oTaps;
 
 const uint EMPTY = 0u;
 const uint EXCHANGE_ONLY = 1u;
@@ -42,7 +38,6 @@ void main() {
   ivec2 first = ivec2(gl_FragCoord.xy) * TILE;
   TileSurfaces tile = fetchTile(first, min(first + TILE, uSize));
   oLights = uvec4(0u);
-  oTaps = uvec4(0u);
   if (!tile.anyReal && !tile.anyVirtual) {
     return;
   }
@@ -63,23 +58,9 @@ void main() {
       left -= most;
       matters = false;
     }
-    bvec2 tapped = bvec2(uShadows && val.hasShadowMap);
-    vec3 centre = toMapAxes(val, -toVal);
-    if (matters && tapped.x && centre.z > 1.5 * (tile.radius + uShadowNear)) {
-      float facing = cos(min(angle + slack, 3.1415927));
-      int amongObjects = decideVirtual(val, slot, tile, centre, facing);
-      bool isPure = !(tile.anyReal && tile.anyVirtual);
-      // Nothing reaches a virtual surface in the dark, and nothing is taken from a real one in the light.
-      matters = !(isPure && amongObjects == (tile.anyVirtual ? DARK : LIT));
-      tapped.x = !(isPure && amongObjects != UNDECIDED);
-      tapped.y = decideRoom(val, slot, tile, centre, facing) == UNDECIDED;
-    }
     if (matters) {
       uint bit = 1u << uint(slot & 31);
-      uvec2 bits = slot < 32 ? uvec2(bit, 0u) : uvec2(0u, bit);
-      oLights.xy |= bits;
-      oTaps.xy |= tapped.x ? bits : uvec2(0u);
-      oTaps.zw |= tapped.y ? bits : uvec2(0u);
+      oLights.xy |= slot < 32 ? uvec2(bit, 0u) : uvec2(0u, bit);
     }
   }
   bool hasLight = (oLights.x | oLights.y) != 0u;
