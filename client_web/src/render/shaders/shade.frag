@@ -5,8 +5,9 @@ precision highp sampler3D;
 precision highp sampler2DShadow;
 // What virtual objects change in the picture: Rohmer et al. 2014, Eq. 12 and 13. Virtual fragments: their radiance, alpha 1; real
 // fragments: the change of their radiance, alpha 0. The background is added later, so it may change alone.
-// LIGHTS: the tile has VALs. OBJECTS: it has virtual fragments. INTERLEAVED: of the tile's VALs, each fragment of a square of 2 x 2 takes
-// every fourth, and gather.frag adds them up (Keller and Heidrich 2001; Segovia et al. 2006). RECEIVER_RATIO: real surfaces are scaled.
+// LIGHTS: the tile has VALs. OBJECTS: it has virtual fragments. INTERLEAVED: of the tile's VALs, and of the objects that exchange light with
+// a surface, each fragment of a square of 2 x 2 takes every fourth, and gather.frag adds them up (Keller and Heidrich 2001; Segovia et al.
+// 2006). RECEIVER_RATIO: real surfaces are scaled.
 #include <octahedral>
 #include <sh_basis>
 #include <surface>
@@ -32,8 +33,15 @@ uniform bool uRoomShadows;
 uniform int uMode;
 layout(location = 0) out vec4 oChange;
 #ifdef INTERLEAVED
-// Irradiance / pi by this fragment's share of the VALs; in alpha its distance from the camera, negative for virtual fragments.
+// Radiance per unit albedo that this fragment's share of VALs and objects changes; in alpha its distance from the camera, negative for
+// virtual fragments.
 layout(location = 1) out vec4 oShare;
+
+const int FRAGMENTS = 4;
+
+int fragmentInSquare(ivec2 at) {
+  return (at.x & 1) + 2 * (at.y & 1);
+}
 #endif
 
 #ifdef LIGHTS
@@ -84,14 +92,18 @@ vec3 shadeWithVals(ivec2 at, Surface surface) {
   lights.y &= uNumVals >= 64 ? 0xffffffffu : uNumVals <= 32 ? 0u : (1u << uint(uNumVals - 32)) - 1u;
   vec3 sum = vec3(0.0);
 #ifdef INTERLEAVED
-  // By slot, so that tiles with other VALs share them out alike.
-  lights &= uvec2(0x11111111u << uint((at.x & 1) + 2 * (at.y & 1)));
+  // Counted over the VALs of the tile, so that all fragments have equally much to do.
+  lights = withoutLowest(lights, fragmentInSquare(at));
 #endif
   while (lights.x != 0u || lights.y != 0u) {
     bool inFirst = lights.x != 0u;
     uint bit = lowestBit(inFirst ? lights.x : lights.y);
-    lights ^= inFirst ? uvec2(bit, 0u) : uvec2(0u, bit);
     sum += shadeWithVal(bitIndex(bit) + (inFirst ? 0 : 32), surface, rotation);
+#ifdef INTERLEAVED
+    lights = withoutLowest(lights, FRAGMENTS);
+#else
+    lights = withoutLowest(lights, 1);
+#endif
   }
   return sum;
 }
@@ -108,20 +120,29 @@ void main() {
 #endif
   vec3 exchanged = vec3(0.0);
   if (uIndirectExchange && uMode == 0) {
-    for (int object = 0; object < uNumObjects; object++) {
+#ifdef INTERLEAVED
+    int first = fragmentInSquare(at);
+    const int step = FRAGMENTS;
+#else
+    const int first = 0;
+    const int step = 1;
+#endif
+    for (int object = first; object < uNumObjects; object += step) {
       if (object + 1 != surface.kind) {
         exchanged += exchangedIrradiance(object, surface.positionWorld, surface.normalWorld);
       }
     }
-    exchanged *= surface.albedo * 0.3183098861837907;
+    exchanged *= 0.3183098861837907;
   }
 #ifdef INTERLEAVED
   float away = length(surface.positionWorld - uWorldFromCamera[3].xyz);
   // Kept in half floats, which end at 65504.
-  oShare = vec4(min(fromVals, 65000.0), surface.kind > 0 ? -away : away);
+  oShare = vec4(clamp(surface.kind > 0 ? exchanged + fromVals : exchanged - fromVals, -65000.0, 65000.0), surface.kind > 0 ? -away : away);
   fromVals = vec3(0.0);
+  exchanged = vec3(0.0);
 #endif
   fromVals *= surface.albedo;
+  exchanged *= surface.albedo;
   oChange = vec4(uMode == 0 ? exchanged - fromVals : fromVals, 0.0);
 #ifdef RECEIVER_RATIO
   vec3 ratio = vec3(1.0);
