@@ -34,6 +34,21 @@ bool inAnyField(TileSurfaces tile) {
   return false;
 }
 
+// Upper bound of the radiance that any surface of the tile reflects of an unoccluded VAL: disc form of protocol/CONVENTIONS.md.
+float mostReflected(Val val, TileSurfaces tile) {
+  float intensity = max(val.radiantIntensity.r, max(val.radiantIntensity.g, val.radiantIntensity.b));
+  vec3 toVal = val.positionWorld - tile.centreWorld;
+  float apart = length(toVal);
+  float nearest = max(apart - tile.radius, 1e-6);
+  // Greatest cosine between a normal of the cone and the direction of the VAL.
+  float cosine = dot(tile.normalAxis, toVal) / max(apart, 1e-6);
+  float sine = sqrt(max(1.0 - cosine * cosine, 0.0));
+  float towards = cosine >= tile.normalCone.x ? 1.0 : dot(vec2(cosine, sine), tile.normalCone);
+  float received = clamp((apart * towards + tile.radius) / nearest, 0.0, 1.0);
+  float emitted = clamp((tile.radius - dot(toVal, val.normalWorld)) / nearest, 0.0, 1.0);
+  return tile.mostAlbedo * 0.3183099 * intensity * received * emitted / (nearest * nearest + val.area * 0.3183099);
+}
+
 void main() {
   ivec2 first = ivec2(gl_FragCoord.xy) * TILE;
   TileSurfaces tile = fetchTile(first, min(first + TILE, uSize));
@@ -44,16 +59,9 @@ void main() {
   float left = uBudget;
   for (int slot = 0; slot < uNumVals; slot++) {
     Val val = fetchVal(slot);
-    float intensity = max(val.radiantIntensity.r, max(val.radiantIntensity.g, val.radiantIntensity.b));
-    vec3 toVal = val.positionWorld - tile.centreWorld;
-    float apart = length(toVal);
-    float angle = acos(clamp(dot(tile.normalAxis, toVal) / max(apart, 1e-6), -1.0, 1.0));
-    float slack = tile.normalAngle + (tile.radius < apart ? asin(tile.radius / apart) : 3.1415927);
-    bool turnedAway = intensity <= 0.0 || angle - slack > 1.5709 || dot(toVal, val.normalWorld) > tile.radius;
-    bool matters = !turnedAway && (tile.anyVirtual || (uShadows && val.hasShadowMap && ballInShadowCone(val, tile.centreWorld, tile.radius)));
-    // Upper bound of the reflected radiance: disc form of protocol/CONVENTIONS.md.
-    float nearest = max(apart - tile.radius, 0.0);
-    float most = tile.mostAlbedo * 0.3183099 * intensity / max(nearest * nearest + val.area * 0.3183099, 1e-9);
+    float most = mostReflected(val, tile);
+    bool matters = most > 0.0 &&
+      (tile.anyVirtual || (uShadows && val.hasShadowMap && ballInShadowCone(val, tile.centreWorld, tile.radius)));
     if (matters && most <= left) {
       left -= most;
       matters = false;

@@ -7,9 +7,9 @@ struct TileSurfaces {
   // Ball around all surfaces.
   vec3 centreWorld;
   float radius;
-  // Cone around all normals: axis and half angle.
+  // Cone around all normals: axis, cosine and sine of the half angle.
   vec3 normalAxis;
-  float normalAngle;
+  vec2 normalCone;
   float mostAlbedo;
 };
 
@@ -57,6 +57,7 @@ TileSurfaces fetchTile(ivec2 first, ivec2 end) {
   float spread = distance(mean, most) + 1e-4;
   float size = length(mean);
   tile.normalAxis = mean / max(size, 1e-6);
-  tile.normalAngle = spread < size ? asin(spread / size) : 3.1415927;
+  float sine = spread / max(size, 1e-6);
+  tile.normalCone = sine < 1.0 ? vec2(sqrt(1.0 - sine * sine), sine) : vec2(-1.0, 0.0);
   return tile;
 }
