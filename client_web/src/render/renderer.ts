@@ -30,6 +30,8 @@ import { fromRowMajor } from './vector'
 
 /** Share of white that the VALs left out of a tile may amount to while the picture is live. */
 const NEGLIGIBLE = 0.5 / 255
+/** Part of white below which a VAL's shadow need not be sampled as finely. */
+const FAINT = 4 / 255
 /** Exposures within this factor share one choice of VALs, so the error stays below 2 NEGLIGIBLE. */
 const EXPOSURE_SLACK = 2
 
@@ -303,7 +305,14 @@ export class Renderer {
     const background = this.#background(frame.camera)
     runner.run('shade', this.#options.receiverRatio ? [...inputs, 'background'] : inputs, ['change'], () => {
       const { gbuffer, tiles } = targets
-      const shading = { gbuffer, tiles, isTiled: this.#usesTiles, shadows: this.#shadowPass(), background }
+      const shading = {
+        gbuffer,
+        tiles,
+        isTiled: this.#usesTiles,
+        shadows: this.#shadowPass(),
+        background,
+        faint: FAINT / this.#judgedExposure,
+      }
       gpu.shade.run(targets.change, targets.shares, frame, shading, this.#mode)
     })
     if (antiAliasing) {

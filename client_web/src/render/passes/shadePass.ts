@@ -23,6 +23,8 @@ export interface ShadeInputs {
   readonly tiles: Target
   readonly isTiled: boolean
   readonly shadows: ShadowPass
+  /** Radiance of a VAL below which half of the taps do, live only; W/(sr m^2). */
+  readonly faint: number
   /** Read for `receiverRatio` only. */
   readonly background: Target
 }
@@ -164,6 +166,7 @@ export class ShadePass {
       .int('uAdaptive', !frame.options.fullQuality)
       .vec4Array('uSearchPoints', taps.search)
       .vec2Array('uFilterPoints', taps.filter)
+      .float('uFaint', inputs.faint)
       .float('uShadowNear', SHADOW_NEAR)
       .float('uShadowLayout', TILES_PER_SIDE, shadows.tileSize)
       .float('uOcclusionSize', ...this.#fieldSize)

@@ -36,6 +36,8 @@ layout(location = 0) out vec4 oChange;
 // Radiance per unit albedo that this fragment's share of VALs and objects changes; in alpha its distance from the camera, negative for
 // virtual fragments.
 layout(location = 1) out vec4 oShare;
+// Radiance below which half of the taps do.
+uniform float uFaint;
 
 const int FRAGMENTS = 4;
 
@@ -65,9 +67,15 @@ vec3 shadeWithVal(int slot, Surface surface, mat2 rotation) {
   bool inCone = !isReal || ballInShadowCone(val, surface.positionWorld, 0.0);
 #endif
   Receiver receiver = makeReceiver(val, slot, surface.positionWorld, surface.normalWorld, rotation);
-  float amongObjects = virtualVisibility(receiver, val, mapped && inCone);
+#ifdef INTERLEAVED
+  // The noise of fewer taps weighs little where the VAL does.
+  float effort = max(radiance.r, max(radiance.g, radiance.b)) > uFaint ? 1.0 : 0.5;
+#else
+  const float effort = 1.0;
+#endif
+  float amongObjects = virtualVisibility(receiver, val, mapped && inCone ? effort : 0.0);
   bool needsRoom = !isReal || uMode != 0 ? amongObjects > 0.0 || uMode == 1 : amongObjects < 1.0;
-  float inRoom = roomVisibility(receiver, val, uRoomShadows && mapped && needsRoom);
+  float inRoom = roomVisibility(receiver, val, uRoomShadows && mapped && needsRoom ? effort : 0.0);
   if (!isReal) {
     return radiance * (inRoom * amongObjects);
   }

@@ -84,10 +84,14 @@ float meanBlocker(sampler2D depths, Receiver receiver, float nearest, vec2 bias,
   // At least one texel, so that a tiny disc still finds what its filter will see.
   mat2 spread = receiver.disc * reach + receiver.texel;
   float nearer = 0.1 * receiver.texelSlope;
+  // The first of `uSearchTaps` points, moved out to where as many of their own would lie.
+  float widening = float(uSearchTaps) / float(max(taps, 1));
+  widening *= widening;
   float sum = 0.0;
   float count = 0.0;
   for (int i = 0; i < taps; i++) {
     vec4 tap = uSearchPoints[i];
+    tap.xyw *= widening;
     vec2 place = receiver.place + spread * tap.xy;
     vec2 kept = keptPlace(place);
     float found = (1.0 - textureLod(depths, (receiver.origin + kept) / uShadowLayout.x, 0.0).r) / uShadowNear;
@@ -122,19 +126,19 @@ float filteredVisibility(sampler2DShadow compared, Receiver receiver, float bloc
   return count > 0 ? seen / float(count) : 1.0;
 }
 
-// `wanted`: without it the answer is 1 and no tap is read.
-float virtualVisibility(Receiver receiver, Val val, bool wanted) {
-  bool reached = wanted && receiver.inverse > 0.0 && receiver.inverse < 1.0 / uShadowNear;
+// `effort`: share of the taps that are read; with 0 the answer is 1.
+float virtualVisibility(Receiver receiver, Val val, float effort) {
+  bool reached = receiver.inverse > 0.0 && receiver.inverse < 1.0 / uShadowNear;
   vec2 bias = biasOf(receiver, 0.0);
   float nearest = min(val.nearestCaster, 1.0 / receiver.inverse);
-  float blocker = meanBlocker(uVirtualDepth, receiver, nearest, bias, false, reached ? uSearchTaps : 0);
-  return filteredVisibility(uVirtualCompare, receiver, blocker, bias, false, blocker < 0.0 ? 0 : uFilterTaps);
+  float blocker = meanBlocker(uVirtualDepth, receiver, nearest, bias, false, reached ? int(effort * float(uSearchTaps)) : 0);
+  return filteredVisibility(uVirtualCompare, receiver, blocker, bias, false, blocker < 0.0 ? 0 : int(effort * float(uFilterTaps)));
 }
 
-float roomVisibility(Receiver receiver, Val val, bool wanted) {
-  bool reached = wanted && receiver.inverse > 0.0 && receiver.inverse < 1.0 / uShadowNear;
+float roomVisibility(Receiver receiver, Val val, float effort) {
+  bool reached = receiver.inverse > 0.0 && receiver.inverse < 1.0 / uShadowNear;
   vec2 bias = biasOf(receiver, receiver.steepness);
   // Real blockers may stand anywhere; a search wider than three discs would miss the small ones between its taps.
-  float blocker = meanBlocker(uRoomDepth, receiver, 0.25 / receiver.inverse, bias, true, reached ? uSearchTaps : 0);
-  return filteredVisibility(uRoomCompare, receiver, blocker, bias, true, blocker < 0.0 ? 0 : uFilterTaps);
+  float blocker = meanBlocker(uRoomDepth, receiver, 0.25 / receiver.inverse, bias, true, reached ? int(effort * float(uSearchTaps)) : 0);
+  return filteredVisibility(uRoomCompare, receiver, blocker, bias, true, blocker < 0.0 ? 0 : int(effort * float(uFilterTaps)));
 }
