@@ -99,22 +99,15 @@ vec3 shadeWithVals(ivec2 at, Surface surface) {
   lights.x &= uNumVals >= 32 ? 0xffffffffu : (1u << uint(uNumVals)) - 1u;
   lights.y &= uNumVals >= 64 ? 0xffffffffu : uNumVals <= 32 ? 0u : (1u << uint(uNumVals - 32)) - 1u;
   vec3 sum = vec3(0.0);
-  int step = 1;
 #ifdef INTERLEAVED
-#ifdef OBJECTS
-  // By slot: light varies fast over a virtual object, whose tiles with other VALs must share them out alike.
+  // By slot, so that tiles with other VALs share them out alike.
   lights &= uvec2(0x11111111u << uint(fragmentInSquare(at)));
-#else
-  // By rank among the VALs of the tile, so that all fragments have equally much to do.
-  lights = withoutLowest(lights, fragmentInSquare(at));
-  step = FRAGMENTS;
-#endif
 #endif
   while (lights.x != 0u || lights.y != 0u) {
     bool inFirst = lights.x != 0u;
     uint bit = lowestBit(inFirst ? lights.x : lights.y);
+    lights ^= inFirst ? uvec2(bit, 0u) : uvec2(0u, bit);
     sum += shadeWithVal(bitIndex(bit) + (inFirst ? 0 : 32), surface, rotation);
-    lights = withoutLowest(lights, step);
   }
   return sum;
 }
