@@ -12,7 +12,7 @@ from nearfield_server.benchmark.summary import METHOD_FIGURES
 from nearfield_server.commands.bench import bench
 
 # How late the light is can be measured on a machine with nothing else to do only; it has tests of its own.
-PARTS = ("server", "client", "methods", "growth", "temporal")
+PARTS = ("server", "client", "methods", "ablation", "growth", "temporal")
 TINY = Path(__file__).parents[1] / "data" / "tiny_room"
 
 

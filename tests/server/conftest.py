@@ -60,6 +60,7 @@ def _made_up_run() -> dict[str, Any]:
         },
         "methods": rows,
         "growth": {"server_objects": curve, "screen_pixels": {**curve, "x": [129600, 518400, 1166400]}},
+        "ablation": [{"bundle": "room <1>", "without": "indirect light", "irradiance_rel_rmse": 0.7}],
         "temporal": {"rooms": [{"scene": "box", "irradiance_flicker": 0.001, "noise": {"updates": 30}}]},
         "latency": {"missing": "no browser <here>"},
     }

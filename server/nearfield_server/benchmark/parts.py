@@ -61,6 +61,9 @@ PARTS: Final[dict[str, PartEntry]] = {
         "methods_section",
         "error against time and bytes of every method",
     ),
+    "ablation": PartEntry(
+        "nearfield_server.benchmark.sections", "ablation_section", "what each ingredient of the method brings"
+    ),
     "growth": PartEntry(
         "nearfield_server.benchmark.sections", "growth_section", "cost against the size of everything"
     ),

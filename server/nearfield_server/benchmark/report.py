@@ -113,6 +113,8 @@ def _page(out: Path, report: dict[str, Any], figures: dict[str, str]) -> str:
         '<!doctype html><html lang="en"><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">',
         f"<title>Nearfield benchmark</title><style>{_STYLE}</style><h1>Run time against error</h1>",
         _methods(out, report, figures),
+        "<h2>What each ingredient brings</h2>",
+        _plain(report["ablation"]),
         _server(report["server"]),
         _client(report["client"]),
         _growth(report["growth"], figures),

@@ -20,11 +20,19 @@ _QUICK_ROUNDS: Final = 5
 
 
 def server_section(setup: BenchSetup) -> dict[str, Any]:
-    """The light pipeline at 1024^2 with four cameras of 1024^2, 16 VALs and three objects, also in quick runs."""
+    """The light pipeline at 1024^2 with four cameras of 1024^2, 16 VALs and three objects, also in quick runs.
+
+    That is the box room, whose texels are all seen by every camera; full runs add the rooms of the bundles.
+    """
     scenario = box_scenario(_TINY_SIZE if setup.tiny else _SERVER_SIZE)
     settings = LightSettings(num_vals=16, num_samples=256 if setup.tiny else LightSettings().num_samples)
     rounds = 2 if setup.tiny else _QUICK_ROUNDS if setup.quick else _ROUNDS
-    return measure(scenario, settings, setup.backend, rounds)
+    section = measure(scenario, settings, setup.backend, rounds)
+    if not setup.quick:
+        section["rooms"] = [
+            measure(bundle_scenario(bundle), settings, setup.backend, rounds) for bundle in setup.bundles
+        ]
+    return section
 
 
 def client_section(setup: BenchSetup) -> dict[str, Any]:
@@ -35,6 +43,18 @@ def client_section(setup: BenchSetup) -> dict[str, Any]:
     pictures = setup.out / "client"
     pictures.mkdir(parents=True, exist_ok=True)
     return measure_client(pictures, setup.quick, setup.say, tiny=setup.tiny)
+
+
+def ablation_section(setup: BenchSetup) -> list[dict[str, Any]]:
+    """Errors, bytes and time with one ingredient left out after the other; pictures are judged in full runs only."""
+    # Brings the browser's libraries; the other sections do without.
+    from nearfield_server.benchmark.ablation import measure_ablation
+
+    rows: list[dict[str, Any]] = []
+    for bundle in setup.bundles:
+        setup.say(f"  bundle {bundle.name}")
+        rows += measure_ablation(bundle, setup.quick, setup.say, with_views=not setup.quick)
+    return rows
 
 
 def growth_section(setup: BenchSetup) -> dict[str, Any]:

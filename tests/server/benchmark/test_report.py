@@ -62,10 +62,10 @@ def test_the_table_for_documents_has_each_method_once_per_bundle(
 
 def test_a_run_without_any_part_still_has_a_page(tmp_path: Path, made_up_run: MakeRun) -> None:
     run = made_up_run()
-    for part in ("server", "client", "methods", "growth", "temporal", "latency"):
+    for part in ("server", "client", "methods", "ablation", "growth", "temporal", "latency"):
         run[part] = {"missing": f"{part} was not run"}
     text = write_page(tmp_path, run).read_text(encoding="utf-8")
-    assert text.count("was not run") == 6
+    assert text.count("was not run") == 7
     assert draw_plots(run) == {}
 
 
