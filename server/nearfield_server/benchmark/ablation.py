@@ -13,18 +13,12 @@ from typing import Any, Final
 
 import numpy as np
 
+from nearfield_server.benchmark.method_judgement import irradiance_at_points, mean_of_views
 from nearfield_server.benchmark.method_packets import MethodPackets
 from nearfield_server.benchmark.method_scene import MethodScene, load_method_scene
 from nearfield_server.benchmark.method_views import MethodViews, open_views
 from nearfield_server.benchmark.methods.light import ClientForm, MethodLight
-from nearfield_server.evaluation.evaluate import load_points
-from nearfield_server.evaluation.irradiance import (
-    PlacedObject,
-    bias,
-    estimate_irradiance,
-    make_caster,
-    rel_rmse,
-)
+from nearfield_server.evaluation.irradiance import PlacedObject, bias, rel_rmse
 from nearfield_server.evaluation.view_truth import judge_view
 from nearfield_server.pipeline.runner import LightPipeline
 from nearfield_server.records import LightSettings
@@ -167,26 +161,10 @@ def _extract(scene: MethodScene, ingredient: Ingredient) -> tuple[MethodLight, f
 
 
 def _irradiance_errors(scene: MethodScene, ingredient: Ingredient, light: MethodLight) -> dict[str, Any]:
-    bundle, mesh = scene.bundle, scene.mesh
-    nothing: dict[str, Any] = {"irradiance_rel_rmse": None, "irradiance_bias": None}
-    if bundle.points is None or not scene.objects:
-        return nothing
-    points, normals, index, truth = load_points(bundle.points, bundle, bundle.weights())
-    if not truth.mean() > 0.0:
-        return nothing
-    objects = tuple(ingredient.of_object(item) for item in scene.objects)
-    estimate = estimate_irradiance(
-        points,
-        normals,
-        index,
-        vals=light.vals,
-        object_sh=light.object_sh,
-        objects=objects,
-        caster=make_caster(mesh.positions, mesh.faces, objects),
-        room_caster=make_caster(mesh.positions, mesh.faces, ()),
-        room_albedo=mesh.material_albedo[mesh.face_material],
-    ).total
-    return {"irradiance_rel_rmse": rel_rmse(estimate, truth), "irradiance_bias": bias(estimate, truth)}
+    found = irradiance_at_points(scene, light, tuple(ingredient.of_object(item) for item in scene.objects))
+    if found is None:
+        return {"irradiance_rel_rmse": None, "irradiance_bias": None}
+    return {"irradiance_rel_rmse": rel_rmse(*found), "irradiance_bias": bias(*found)}
 
 
 def _picture_errors(
@@ -198,8 +176,4 @@ def _picture_errors(
         judge_view(truth, views.composite(index, light, full_quality=True), scene.exposure)
         for index, truth in scene.views
     ]
-    means = {}
-    for key in ("shadow_rel_rmse", "object_rel_rmse"):
-        values = [view[key] for view in judged if view[key] is not None]
-        means[key] = float(np.mean(values)) if values else None
-    return means
+    return {key: mean_of_views(judged, key) for key in ("shadow_rel_rmse", "object_rel_rmse")}

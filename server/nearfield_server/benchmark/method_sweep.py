@@ -20,21 +20,16 @@ from numpy.typing import NDArray
 
 from nearfield_server.benchmark.assembly_files import write_json
 from nearfield_server.benchmark.flicker import flicker, val_movement_mm
+from nearfield_server.benchmark.method_judgement import irradiance_at_points, mean_of_views
 from nearfield_server.benchmark.method_packets import MAX_LIGHTS, MethodPackets
 from nearfield_server.benchmark.method_scene import MethodScene, load_method_scene
 from nearfield_server.benchmark.method_views import MethodViews, open_views
 from nearfield_server.benchmark.methods import METHODS, MethodEntry
-from nearfield_server.benchmark.methods.light import MethodLight, Transfer
+from nearfield_server.benchmark.methods.light import Transfer
 from nearfield_server.benchmark.parts import BenchSetup
 from nearfield_server.benchmark.transfer_forms import reduced_model, room_with_models
 from nearfield_server.errors import AssetError
-from nearfield_server.evaluation.evaluate import load_points
-from nearfield_server.evaluation.irradiance import (
-    PlacedObject,
-    estimate_irradiance,
-    make_caster,
-    rel_rmse,
-)
+from nearfield_server.evaluation.irradiance import PlacedObject, rel_rmse
 from nearfield_server.evaluation.view_truth import judge_view
 from nearfield_server.radiometry.image_metrics import display
 
@@ -187,6 +182,7 @@ def _measure(
         judge_view(truth, composite, scene.exposure)
         for (_, truth), composite in zip(scene.views, composites, strict=True)
     ]
+    at_points = irradiance_at_points(scene, clean, objects, room_shadows=entry.form.room_shadows)
     first_view = scene.views[0][0]
     _keep_picture(pictures / f"{scene.bundle.name}_{name}_{lights}.jpg", composites[0], scene.exposure)
     stills = [views.composite(first_view, moment, full_quality=False) for moment in noisy]
@@ -195,10 +191,10 @@ def _measure(
         "bundle": scene.bundle.name,
         "name": name,
         "lights": lights,
-        "irradiance_rel_rmse": _irradiance_error(scene, entry, clean, objects),
-        "shadow_rel_rmse": _mean(judged, "shadow_rel_rmse"),
-        "object_rel_rmse": _mean(judged, "object_rel_rmse"),
-        "flip": _mean(judged, "flip_mean"),
+        "irradiance_rel_rmse": None if at_points is None else rel_rmse(*at_points),
+        "shadow_rel_rmse": mean_of_views(judged, "shadow_rel_rmse"),
+        "object_rel_rmse": mean_of_views(judged, "object_rel_rmse"),
+        "flip": mean_of_views(judged, "flip_mean"),
         "flicker": flicker(stills, scene.exposure),
         "val_movement_mm": val_movement_mm([moment.vals for moment in noisy]),
         # The first two updates compile, and fill what only a warm start has.
@@ -214,37 +210,3 @@ def _keep_picture(path: Path, picture: NDArray[np.float64], exposure: float) -> 
     path.parent.mkdir(parents=True, exist_ok=True)
     if not cv2.imwrite(str(path), shown[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 88]):
         raise AssetError(f"{path}: cannot be written; choose another --out")
-
-
-def _mean(judged: Sequence[dict[str, Any]], key: str) -> float | None:
-    """Mean over the views that define the figure."""
-    values = [view[key] for view in judged if view[key] is not None]
-    return float(np.mean(values)) if values else None
-
-
-def _irradiance_error(
-    scene: MethodScene, entry: MethodEntry, light: MethodLight, objects: tuple[PlacedObject, ...]
-) -> float | None:
-    """Relative RMSE at the bundle's points; None where it has none, or they are dark."""
-    bundle = scene.bundle
-    if bundle.points is None or not objects:
-        return None
-    points, normals, index, truth = load_points(bundle.points, bundle, bundle.weights())
-    if not truth.mean() > 0.0:
-        return None
-    positions, faces = scene.mesh.positions, scene.mesh.faces
-    if not entry.form.room_shadows:
-        faces = np.zeros((0, 3), faces.dtype)
-    room: NDArray[np.float64] = positions
-    estimate = estimate_irradiance(
-        points,
-        normals,
-        index,
-        vals=light.vals,
-        object_sh=light.object_sh,
-        objects=objects,
-        caster=make_caster(room, faces, objects),
-        room_caster=make_caster(scene.mesh.positions, scene.mesh.faces, ()),
-        room_albedo=scene.mesh.material_albedo[scene.mesh.face_material],
-    ).total
-    return rel_rmse(estimate, truth)
