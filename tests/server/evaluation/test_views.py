@@ -10,7 +10,7 @@ import pytest
 from nearfield_server.errors import AssetError, ServiceError
 from nearfield_server.evaluation import browser
 from nearfield_server.evaluation.browser import decode_picture, find_browser
-from nearfield_server.evaluation.page_server import render_views
+from nearfield_server.evaluation.page_server import serve_bundle
 from nearfield_server.evaluation.report_page import ViewPictures, write_report
 from nearfield_server.evaluation.view_truth import (
     bundle_exposure,
@@ -133,8 +133,9 @@ def test_a_missing_browser_is_named_with_its_package(monkeypatch, tmp_path):
 
 
 def test_a_client_that_is_not_built_is_said_so(tmp_path):
-    with pytest.raises(ServiceError, match="npm run build"):
-        render_views(None, None, None, None, [0], preset="preview", progress=print, static_dir=tmp_path)
+    serving = serve_bundle(None, None, 0, None, preset="preview", progress=print, static_dir=tmp_path)
+    with pytest.raises(ServiceError, match="npm run build"), serving:
+        pass
 
 
 def test_the_report_shows_every_view_and_escapes_names(tmp_path):
