@@ -8,8 +8,8 @@ PORT ?= 8080
 WITH_ENV := PATH="$(CURDIR)/$(BIN):$$PATH"
 
 # Runtime: Python, OpenGL without a screen. Tests and `nearfield evaluate`: Chromium. Room generator: LLVM for Dr.Jit.
-# libatomic1: the binaries inside the wheels of Playwright and Dr.Jit.
-DEBIAN_PACKAGES := python3 python3-venv libegl1 libgl1 chromium libllvm19 libatomic1 fonts-dejavu-core
+# libatomic1: the binaries inside the wheels of Playwright and Dr.Jit. Cameras: libaravis; their tests: namespaces and packet loss.
+DEBIAN_PACKAGES := python3 python3-venv libegl1 libgl1 chromium libllvm19 libatomic1 fonts-dejavu-core libaravis-0.8-0 iproute2 nftables
 
 PYTHON_STAMP := $(VENV)/.installed
 NODE_STAMP := client_web/node_modules/.installed
@@ -20,7 +20,7 @@ CLIENT_SOURCES := $(shell find client_web/src client_web/index.html client_web/p
 	client_web/vite.config.ts client_web/tsconfig.json
 
 .DEFAULT_GOAL := help
-.PHONY: help setup debian demo test bench lint unit browser lock clean
+.PHONY: help setup debian demo test test-cameras bench lint unit lock clean
 
 help:  ## show this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -74,6 +74,9 @@ unit: $(PYTHON_STAMP) $(CLIENT_BUILD) $(BENCH_BUILD)  ## unit, service and brows
 	cd client_web && $(WITH_ENV) npm test --silent
 	# glibc overwrites freed memory, so that what still uses it is found.
 	MALLOC_PERTURB_=165 $(BIN)/python -m pytest
+
+test-cameras: setup  ## all tests of cameras and their faults alone, in a network namespace with only loopback
+	MALLOC_PERTURB_=165 $(BIN)/python -m pytest -m cameras
 
 lock: $(PYTHON_STAMP)  ## renew the lock files within the ranges of pyproject.toml and package.json
 	$(BIN)/uv pip compile --quiet --universal --python-version 3.11 --all-extras --generate-hashes --upgrade \

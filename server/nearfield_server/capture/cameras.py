@@ -15,7 +15,7 @@ from nearfield_server.capture.sensor_model import SensorModel
 from nearfield_server.capture.source import Source
 from nearfield_server.errors import ConfigError
 from nearfield_server.scene.bundle import SCENE_FILE, load_bundle
-from nearfield_server.scene.room_config import ExrSequenceSourceConfig, RoomConfig
+from nearfield_server.scene.room_config import ExrSequenceSourceConfig, LabSourceConfig, RoomConfig
 
 
 def image_circle(intrinsics: FisheyeIntrinsics) -> NDArray[np.bool_]:
@@ -65,6 +65,8 @@ def make_source(room: RoomConfig, camera_index: int, options: dict[str, Any]) ->
                 width=width,
             )
         )
+    if not isinstance(source, LabSourceConfig):
+        raise ConfigError(f"camera {camera.camera_id}: sources of kind {source.kind} are not built yet")
     scales = np.array(
         [np.asarray(light.radiance) / light.basis_radiance for light in room.lights], np.float64
     )

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import json
+import threading
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import structlog
 
-from nearfield_server.capture.source import RawFrame
+from nearfield_server.capture.source import RawFrame, wait_for_period
 from nearfield_server.errors import AssetError, CaptureError
 from nearfield_server.scene.exr import read_exr
 
@@ -106,6 +107,10 @@ class ExrSequenceSource:
 
     def set_light_weights(self, weights: tuple[float, ...]) -> None:
         """Ignore the switchable lights: a recording shows what it shows."""
+
+    def wait_for_frame(self, stop: threading.Event, period_s: float) -> None:
+        """Wait for the next period."""
+        wait_for_period(stop, period_s)
 
     def next_frame(self, now_ns: int) -> RawFrame | None:
         """Return the frame that is due; None after the end and where a frame is unreadable. Late callers skip frames."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -10,7 +11,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from nearfield_server.capture.sensor_model import SensorModel, simulate_sensor
-from nearfield_server.capture.source import RawFrame
+from nearfield_server.capture.source import RawFrame, wait_for_period
 from nearfield_server.errors import CaptureError
 from nearfield_server.scene.exr import read_exr
 
@@ -119,6 +120,10 @@ class LabSource:
                 f"camera {self.camera.camera_id}: {len(weights)} light weights for {len(self.camera.light_scales)} lights"
             )
         self._weights = weights
+
+    def wait_for_frame(self, stop: threading.Event, period_s: float) -> None:
+        """Wait for the next period."""
+        wait_for_period(stop, period_s)
 
     def next_frame(self, now_ns: int) -> RawFrame | None:
         """Return the picture under the present weights; the same revision means the very same picture."""

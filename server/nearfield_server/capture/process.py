@@ -157,9 +157,10 @@ def capture_loop(
             retry_at = time.monotonic() + delay_s
             worker.log.warning("camera failed", reason=fault, retry_in_s=round(delay_s, 1))
         worker.beat(**_status(pump, describe, is_open, fault))
-        # All cameras of a machine keep to one grid of its clock, as if triggered together: light that changes is seen by all of
-        # them in the same period. A late camera skips periods; it never hurries after them.
-        worker.stop.wait(period_s - time.monotonic() % period_s)
+        if is_open:
+            pump.source.wait_for_frame(worker.stop, period_s)
+        else:
+            worker.stop.wait(min(period_s, 0.1))
     pump.source.close()
 
 

@@ -13,6 +13,7 @@ from nearfield_calibration.models import PinholeIntrinsics
 from nearfield_server.errors import AssetError, ConfigError
 from nearfield_server.records import CameraModel, LightSettings, TabletView
 from nearfield_server.scene.bundle import SCENE_FILE, Bundle, load_bundle
+from nearfield_server.scene.device_schema import AravisSourceTable, RemoteSourceTable, V4l2SourceTable
 from nearfield_server.scene.room_schema import ExrSequenceTable, RoomTable, read_room_table
 
 ROOM_FILE = "room.toml"
@@ -35,7 +36,9 @@ class ExrSequenceSourceConfig:
     kind: Literal["exr_sequence"] = "exr_sequence"
 
 
-SourceConfig = LabSourceConfig | ExrSequenceSourceConfig
+SourceConfig = (
+    LabSourceConfig | ExrSequenceSourceConfig | AravisSourceTable | V4l2SourceTable | RemoteSourceTable
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -196,6 +199,8 @@ def _source(table: RoomTable, index: int, file: Path) -> SourceConfig:
         if not folder.is_dir():
             raise AssetError(f"{file}:{key}.folder: expected an existing folder, found {source.folder!r}.")
         return ExrSequenceSourceConfig(folder=folder)
+    if isinstance(source, AravisSourceTable | V4l2SourceTable | RemoteSourceTable):
+        return source
     _check_one_per_light(table, file, f"{key}.files", source.files)
     return LabSourceConfig(files=tuple(_existing(file, f"{key}.files", name) for name in source.files))
 

@@ -33,6 +33,8 @@
     change_tolerance = 0.0                  # optional, 0 to 0.1: smaller relative changes of a pixel are not passed on
     source = { kind = "exr_sequence", folder = "recordings/cam0" }
     # or     { kind = "lab", files = ["cam0_lamp.exr", ...] }, one per light
+    # or     { kind = "aravis", ... }, { kind = "v4l2", ... }: real cameras, see device_schema
+    # or     { kind = "remote", node = "window", camera = "cam3" }: a camera of another machine
 
     [[objects]]
     name = "bunny"
@@ -63,6 +65,7 @@ from nearfield_calibration.fisheye import check_intrinsics
 from nearfield_calibration.models import FisheyeIntrinsics
 from nearfield_server.errors import ConfigError
 from nearfield_server.scene.bundle_fields import check_transform
+from nearfield_server.scene.device_schema import AravisSourceTable, RemoteSourceTable, V4l2SourceTable
 
 MAX_TOML_BYTES = 4 * 1024 * 1024
 # Object names become file names of HTTP paths.
@@ -141,7 +144,10 @@ class CameraTable(_Strict):
     theta_max: Annotated[float, Field(gt=0, le=np.pi)]
     world_from_camera: Transform
     change_tolerance: Annotated[float, Field(ge=0, le=0.1, allow_inf_nan=False)] = 0.0
-    source: Annotated[LabSourceTable | ExrSequenceTable, Field(discriminator="kind")]
+    source: Annotated[
+        LabSourceTable | ExrSequenceTable | AravisSourceTable | V4l2SourceTable | RemoteSourceTable,
+        Field(discriminator="kind"),
+    ]
 
     @property
     def intrinsics(self) -> FisheyeIntrinsics:
@@ -201,6 +207,17 @@ class RoomTable(_Strict):
     views: tuple[ViewTable, ...] = ()
 
 
+# Names that pydantic puts into the path of an error to say which of several tables it tried.
+_SOURCES: dict[str, type[BaseModel]] = {
+    "lab": LabSourceTable,
+    "exr_sequence": ExrSequenceTable,
+    "aravis": AravisSourceTable,
+    "v4l2": V4l2SourceTable,
+    "remote": RemoteSourceTable,
+}
+_TAGS = {*_SOURCES, "linear", "table", "knee", "off", "bracket"}
+
+
 def read_room_table(path: Path) -> RoomTable:
     """Parse and check a room.toml.
 
@@ -224,7 +241,7 @@ def read_room_table(path: Path) -> RoomTable:
 
 def _describe(item: Any) -> str:
     """One line: key, what was expected and found."""
-    location = [part for part in item["loc"] if part not in ("lab", "exr_sequence")]
+    location = [part for part in item["loc"] if part not in _TAGS]
     key = ""
     for part in location:
         key += f"[{part}]" if isinstance(part, int) else f"{'.' if key else ''}{part}"
@@ -249,7 +266,7 @@ def _describe(item: Any) -> str:
 def _keys_at(tables: list[str]) -> list[str]:
     """Keys known inside the table reached by the given names."""
     if tables and tables[-1] == "source":
-        return sorted({*LabSourceTable.model_fields, *ExrSequenceTable.model_fields})
+        return sorted({key for model in _SOURCES.values() for key in model.model_fields})
     models: dict[str, type[BaseModel]] = {
         "light": LightTable,
         "lights": SwitchableLightTable,

@@ -15,7 +15,7 @@ from nearfield_server.capture.frame_ring import FrameRingReader, FrameRingWriter
 from nearfield_server.capture.frame_signal import FrameSignal
 from nearfield_server.capture.process import FramePump, capture_loop
 from nearfield_server.capture.ring_memory import RingShape, create_ring
-from nearfield_server.capture.source import RawFrame
+from nearfield_server.capture.source import RawFrame, wait_for_period
 from nearfield_server.errors import CaptureError
 
 SHAPE = RingShape(4, 6, 3)
@@ -37,6 +37,9 @@ class ScriptedSource:
 
     def close(self) -> None:
         self.closed += 1
+
+    def wait_for_frame(self, stop: threading.Event, period_s: float) -> None:
+        wait_for_period(stop, period_s)
 
     def set_light_weights(self, weights: tuple[float, ...]) -> None:
         self.weights.append(weights)

@@ -1,0 +1,1 @@
+"""PURE: from sensor codes to linear radiance."""

@@ -1,0 +1,1 @@
+"""Recordings: written by a process of its own, replayed bit by bit."""

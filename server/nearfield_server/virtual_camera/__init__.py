@@ -1,0 +1,1 @@
+"""A simulated GigE Vision camera that looks at a room."""
