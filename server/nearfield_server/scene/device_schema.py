@@ -28,7 +28,7 @@ Both kinds, everything optional:
     color_matrix = [[...], [...], [...]]    # linear camera RGB to linear sRGB, rows; absent = identity
     response = { kind = "linear" }
              | { kind = "table", codes = [...], signal = [...] }     # companded: linear between the points; top signal = 1
-             | { kind = "knee", knees = [[code, worth], ...] }       # multi-slope: above a code (share of the range) one code is worth so many
+             | { kind = "knee", knees = [[code, worth], ...] }       # multi-slope: above a code (share of range) one code is worth so many
     hdr = { mode = "off" }
         | { mode = "bracket", exposures_s = [...] , method = "auto", settle_frames = 2 }
         | { mode = "bracket", num_exposures = 4, longest_s = 0.05, shortest_s = 0.00005 }   # chosen from the histogram
