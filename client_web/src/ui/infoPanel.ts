@@ -52,7 +52,14 @@ export function infoPanel(objectNames: readonly string[]): InfoPanel {
   const server = workSection(strings.info.server)
   const device = workSection(strings.info.device)
   return {
-    element: element('div', { className: 'panel' }, list, server.element, device.element),
+    element: element(
+      'div',
+      { className: 'panel' },
+      list,
+      server.element,
+      device.element,
+      element('a', { className: 'more', href: './status' }, strings.info.more),
+    ),
     set: (numbers) => {
       setText(connection, numbers.connection)
       setText(age, milliseconds(numbers.lightAgeMs))

@@ -54,6 +54,7 @@ export const strings = {
     atMost: (share: string) => `at most ${share}`,
     server: 'Server',
     device: 'This device',
+    more: 'All cameras and processes',
     unknown: '–',
   },
   work: {

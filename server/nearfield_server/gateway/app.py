@@ -44,6 +44,7 @@ def create_app(
     assets: Mapping[str, Path] | None = None,
     lan: bool = False,
     status: Callable[[], dict[str, Any]] | None = None,
+    history: Callable[[], dict[str, Any]] | None = None,
 ) -> FastAPI:
     """Build the application.
 
@@ -56,6 +57,7 @@ def create_app(
         assets: URL (`assets/room.glb`) -> file. Nothing else of the file system is served.
         lan: whether the service may be reached by the machine's own addresses.
         status: further entries of `GET /api/status`.
+        history: answer of `GET /api/history`, see `history.StatusHistory.as_json`.
     """
 
     @contextlib.asynccontextmanager
@@ -74,7 +76,7 @@ def create_app(
         Guard, policy=HostPolicy.create(allowed_hosts, lan=lan), on_refused=hub.metrics.refused.inc
     )
     static = _ClientFiles(directory=static_dir, html=True, check_dir=False)
-    _add_rest(app, scene, hub, status)
+    _add_rest(app, scene, hub, status, history)
     _add_files(app, static, static_dir, dict(assets or {}))
 
     @app.websocket("/ws")
@@ -101,7 +103,11 @@ async def _heartbeat(hub: LightHub) -> None:
 
 
 def _add_rest(
-    app: FastAPI, scene: SceneDescription, hub: LightHub, status: Callable[[], dict[str, Any]] | None
+    app: FastAPI,
+    scene: SceneDescription,
+    hub: LightHub,
+    status: Callable[[], dict[str, Any]] | None,
+    history: Callable[[], dict[str, Any]] | None,
 ) -> None:
     scene_json = scene.model_dump_json()
 
@@ -128,6 +134,10 @@ def _add_rest(
         }
         return JSONResponse(body, headers={"Cache-Control": "no-store"})
 
+    @app.get("/api/history")
+    async def get_history() -> Response:
+        return JSONResponse(history() if history is not None else {}, headers={"Cache-Control": "no-store"})
+
     @app.get("/metrics")
     async def get_metrics() -> Response:
         return Response(hub.metrics.render(), headers={"Content-Type": CONTENT_TYPE})
@@ -136,9 +146,16 @@ def _add_rest(
 def _add_files(app: FastAPI, static: StaticFiles, static_dir: Path, assets: dict[str, Path]) -> None:
     @app.api_route("/", methods=["GET", "HEAD"])
     async def get_page(request: Request) -> Response:
-        if not (static_dir / "index.html").is_file():
+        return await built_page("index.html", request)
+
+    @app.api_route("/status", methods=["GET", "HEAD"])
+    async def get_status_page(request: Request) -> Response:
+        return await built_page("status.html", request)
+
+    async def built_page(name: str, request: Request) -> Response:
+        if not (static_dir / name).is_file():
             return HTMLResponse(NOT_BUILT, status_code=503)
-        response = await static.get_response("index.html", request.scope)
+        response = await static.get_response(name, request.scope)
         # Names of the built scripts hold a hash of their content; the page that names them must be fresh.
         response.headers["Cache-Control"] = "no-cache"
         return response

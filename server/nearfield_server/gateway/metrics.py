@@ -12,6 +12,8 @@ from prometheus_client.platform_collector import PlatformCollector
 from prometheus_client.process_collector import ProcessCollector
 from prometheus_client.registry import Collector
 
+from nearfield_server.gateway.camera_metrics import CameraCollector
+
 CONTENT_TYPE = CONTENT_TYPE_LATEST
 
 
@@ -56,6 +58,10 @@ class GatewayMetrics:
     def watch_stages(self, statuses: Callable[[], dict[str, Any]]) -> None:
         """Add what the light stages did, read from the newest statuses of all processes whenever somebody asks."""
         self.registry.register(_StageCollector(statuses))
+
+    def watch_cameras(self, statuses: Callable[[], dict[str, Any]]) -> None:
+        """Add what is known of each camera and of the processes, likewise."""
+        self.registry.register(CameraCollector(statuses))
 
     def render(self) -> bytes:
         """The numbers in Prometheus' text format."""

@@ -6,12 +6,15 @@ import asyncio
 import os
 import socket
 import sys
+import time
 from typing import Any
 
 from nearfield_server.bus.worker import Worker, run_worker
 from nearfield_server.gateway.address import describe_address
 from nearfield_server.gateway.app import create_app
 from nearfield_server.gateway.bus_link import BusLink
+from nearfield_server.gateway.camera_summary import summarise_cameras
+from nearfield_server.gateway.history import StatusHistory
 from nearfield_server.gateway.hub import LightHub
 from nearfield_server.gateway.scene_builder import ServedScene, build_scene
 from nearfield_server.gateway.server import serve_app
@@ -46,6 +49,7 @@ async def run_gateway(worker: Worker, scene: ServedScene, hub: LightHub, link: B
     """
     options: dict[str, Any] = worker.spec.options
     lan = bool(options.get("lan"))
+    history = StatusHistory()
     app = create_app(
         scene.description,
         hub,
@@ -53,7 +57,8 @@ async def run_gateway(worker: Worker, scene: ServedScene, hub: LightHub, link: B
         allowed_hosts=options.get("allowed_hosts") or (),
         assets=scene.assets,
         lan=lan,
-        status=lambda: {"processes": link.statuses()},
+        status=lambda: _status(link),
+        history=lambda: history.as_json(time.monotonic()),
     )
     stop = asyncio.Event()
     listener = socket.socket(fileno=os.dup(int(options["listen_fd"])))
@@ -67,6 +72,7 @@ async def run_gateway(worker: Worker, scene: ServedScene, hub: LightHub, link: B
                 announced = True
                 sys.stdout.write(describe_address(port, lan=lan))
                 sys.stdout.flush()
+            history.sample(time.monotonic(), link.statuses(), hub.num_clients)
             await asyncio.sleep(_BEAT_PERIOD_S)
         stop.set()
 
@@ -78,12 +84,18 @@ async def run_gateway(worker: Worker, scene: ServedScene, hub: LightHub, link: B
         await asyncio.gather(beating, return_exceptions=True)
 
 
+def _status(link: BusLink) -> dict[str, Any]:
+    statuses = link.statuses()
+    return {"cameras": summarise_cameras(statuses), "processes": statuses}
+
+
 def main(worker: Worker) -> None:
     """Prepare the room, then serve until told to stop."""
     scene = prepare_scene(worker)
     hub = LightHub(stale_after=scene.description.settings.stale_after_ms / 1000.0)
     link = BusLink(worker.bus, hub)
     hub.metrics.watch_stages(link.statuses)
+    hub.metrics.watch_cameras(link.statuses)
     try:
         asyncio.run(run_gateway(worker, scene, hub, link))
     finally:
