@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from nearfield_server.capture.fence import full_fence
 from nearfield_server.capture.ring_memory import (
     COUNTER_NAMES,
+    METADATA_BYTES,
     PAGE,
     RING_HEADER,
     SLOT_HEADER,
@@ -135,16 +136,24 @@ class FrameRingWriter(_Ring):
         return int(self._header["newest_sequence"][0])
 
     @contextlib.contextmanager
-    def write(self, content_revision: int, timestamp_ns: int) -> Iterator[FrameDraft]:
+    def write(self, content_revision: int, timestamp_ns: int, metadata: bytes = b"") -> Iterator[FrameDraft]:
         """Write one frame in place. A frame without any changed tile is not published: the newest one is confirmed instead.
 
         Args:
             content_revision: revision of the picture within this writer's life, below 2^40; must differ whenever the pixels do.
             timestamp_ns: capture time, CLOCK_MONOTONIC.
+            metadata: what recordings keep of the frame, at most `METADATA_BYTES` (see `frame_metadata`).
 
         Yields:
             What must be filled. If the body raises, the slot stays marked as torn and the previous frame stays the newest.
+
+        Raises:
+            FrameRingError: too much metadata.
         """
+        if len(metadata) > METADATA_BYTES:
+            raise FrameRingError(
+                f"frame ring '{self.name}': {len(metadata)} bytes of metadata, expected at most {METADATA_BYTES}"
+            )
         newest = self.newest_sequence
         sequence = newest + 1
         index = sequence % self.shape.slot_count
@@ -168,6 +177,8 @@ class FrameRingWriter(_Ring):
         slot["sequence"] = sequence
         slot["content_revision"] = revision
         slot["timestamp_ns"] = timestamp_ns
+        slot["metadata_bytes"] = len(metadata)
+        slot["metadata"][0, : len(metadata)] = np.frombuffer(metadata, np.uint8)
         self._tiles[index][...] = np.where(draft.changed, revision, self._tiles[last])
         full_fence()
         slot["lock"] += 1
@@ -190,6 +201,7 @@ class FrameView:
         timestamp_ns: capture time, CLOCK_MONOTONIC.
         confirmed_ns: last time the camera said that the picture still holds; age is measured from here.
         counters: what ingest found in this frame, by `COUNTER_NAMES`.
+        metadata: what recordings keep of the frame besides, see `frame_metadata`.
         tile_revisions: (rows, columns) int64, a copy; see `CameraFrame`.
         pixels: (height, width, 4) float16, read-only.
     """
@@ -199,6 +211,7 @@ class FrameView:
     timestamp_ns: int
     confirmed_ns: int
     counters: dict[str, int]
+    metadata: bytes
     tile_revisions: NDArray[np.int64]
     pixels: NDArray[np.float16]
     _ring: FrameRingReader
@@ -237,6 +250,11 @@ class FrameRingReader(_Ring):
         return int(self._header["generation"][0])
 
     @property
+    def newest_sequence(self) -> int:
+        """Sequence of the newest whole frame, 0 before the first one."""
+        return int(self._header["newest_sequence"][0])
+
+    @property
     def confirmed_ns(self) -> int:
         """Last time the camera delivered a frame or said that the newest one still holds; 0 = never."""
         return int(self._header["confirmed_ns"][0])
@@ -249,7 +267,7 @@ class FrameRingReader(_Ring):
     def newest(self) -> FrameView | None:
         """View the newest whole frame without copying it, or None if there is none (yet)."""
         for _ in range(_READ_ATTEMPTS):
-            sequence = int(self._header["newest_sequence"][0])
+            sequence = self.newest_sequence
             if sequence == 0:
                 return None
             full_fence()
@@ -257,6 +275,12 @@ class FrameRingReader(_Ring):
             if view is not None and view.still_valid():
                 return view
         return None
+
+    def at(self, sequence: int) -> FrameView | None:
+        """View the frame of this number, or None if it is no longer (or not yet) there; the newest ones stay for a few periods."""
+        view = self._view(sequence % self.shape.slot_count)
+        is_it = view is not None and sequence > 0 and view.sequence == sequence and view.still_valid()
+        return view if is_it else None
 
     def newest_copy(self, camera_index: int) -> CameraFrame | None:
         """Copy the newest whole frame, or None if there is none or the writer overtook every attempt."""
@@ -282,6 +306,7 @@ class FrameRingReader(_Ring):
             timestamp_ns=int(slot["timestamp_ns"]),
             confirmed_ns=self.confirmed_ns,
             counters=counters,
+            metadata=slot["metadata"][: min(int(slot["metadata_bytes"]), METADATA_BYTES)].tobytes(),
             tile_revisions=self._tiles[index].copy(),
             pixels=self._pixels[index],
             _ring=self,

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from nearfield_server.bus.backoff import Backoff
 from nearfield_server.bus.worker import Worker, run_worker
 from nearfield_server.capture.cameras import image_circle, make_source
+from nearfield_server.capture.frame_metadata import metadata_json
 from nearfield_server.capture.frame_ring import FrameRingWriter
 from nearfield_server.capture.frame_signal import FrameSignal
 from nearfield_server.capture.ingest import ingest_frame
@@ -109,7 +110,8 @@ class FramePump:
     def _write(self, frame: RawFrame) -> tuple[dict[str, int], int]:
         """Counters of the frame, and how many of its tiles differ from the frame before."""
         self._ring_revision += 1
-        with self.ring.write(self._ring_revision, frame.timestamp_ns) as draft:
+        metadata = metadata_json(frame.metadata)
+        with self.ring.write(self._ring_revision, frame.timestamp_ns, metadata) as draft:
             found = ingest_frame(
                 frame.pixels,
                 draft.pixels,

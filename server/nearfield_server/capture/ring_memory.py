@@ -18,8 +18,9 @@ from nearfield_server.errors import FrameRingError
 from nearfield_server.records import FRAME_TILE
 
 MAGIC = b"NFRAMES\x00"
-LAYOUT_VERSION = 2
+LAYOUT_VERSION = 3
 PAGE = 4096
+METADATA_BYTES = 2048
 DEFAULT_SLOTS = 4
 COUNTER_NAMES = ("nan", "infinite", "negative", "above_range", "saturated")
 
@@ -46,6 +47,8 @@ SLOT_HEADER = np.dtype(
         ("content_revision", "<u8"),
         ("timestamp_ns", "<i8"),
         ("counters", "<u8", (len(COUNTER_NAMES),)),
+        ("metadata_bytes", "<u8"),
+        ("metadata", "u1", (METADATA_BYTES,)),
     ]
 )
 
