@@ -98,6 +98,12 @@ class Device(Protocol):
     def set_exposure(self, exposure: Exposure) -> Exposure:
         """Expose the next frames so; returns what the device made of it (devices round)."""
 
+    def read_exposure(self) -> Exposure:
+        """Ask the device how it exposes now: someone else, or an automatic of its own, may have changed it.
+
+        Devices that cannot tell return what they were set to last.
+        """
+
     def trigger(self) -> None:
         """Ask for one frame; only with `software_trigger` switched on by `use_trigger`."""
 
@@ -118,4 +124,9 @@ class Device(Protocol):
         """Give the memory of a frame back to the device."""
 
     def statistics(self) -> dict[str, str | int | float | bool]:
-        """Numbers for the status page: `frames_lost`, `frames_broken`, `temperature_c` where offered, and whatever helps to find faults."""
+        """Numbers for the status page; never raises and never talks to the device for longer than a frame takes.
+
+        `frames_lost`, `frames_broken`, `temperature_c` where offered, and whatever helps to find faults. Keys with a meaning for others:
+        `model`, `serial`, `address` or `path`; `warnings` (lines of words); `ptp_status` ("Slave": the device's clock is synchronised);
+        `clock` = "host" where `device_ns` is CLOCK_MONOTONIC of this machine already.
+        """

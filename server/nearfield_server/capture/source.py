@@ -64,5 +64,5 @@ class Source(Protocol):
     def next_frame(self, now_ns: int) -> RawFrame | None:
         """Return the picture at `now_ns` (CLOCK_MONOTONIC), or None if there is none now (dropped, unreadable, not there yet)."""
 
-    def describe(self) -> dict[str, str | int | float | bool]:
-        """Describe the source for the status page."""
+    def describe(self) -> dict[str, Any]:
+        """Describe the source for the status page, as JSON has it; called in another thread than everything else."""
