@@ -11,9 +11,10 @@ import urllib.request
 from collections.abc import Callable
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
-from tests.service.harness import PATIENCE_S, Service
+from tests.service.harness import PATIENCE_S, TINY_ROOM, Service
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection, connect
 
@@ -28,6 +29,7 @@ from nearfield_protocol.codec import (
 )
 from nearfield_protocol.session import ClientSession
 from nearfield_server.illumination.atlas_channel import STREAM_SIZE
+from nearfield_server.scene.room_config import load_room
 
 pytestmark = pytest.mark.service
 
@@ -184,6 +186,16 @@ def test_a_killed_gateway_comes_back_on_the_same_port(
         tablet.until("light", lambda: tablet.light)
     record_property("seconds_to_light", round(time.monotonic() - killed_s, 2))
     assert service.running()["gateway"] != pids["gateway"]
+
+
+def test_every_camera_shows_a_preview(service: Service) -> None:
+    port = _port(service)
+    for camera in load_room(TINY_ROOM).cameras:
+        url = f"http://127.0.0.1:{port}/api/cameras/{camera.camera_id}/preview.jpg?size=32&marks=0"
+        with urllib.request.urlopen(url, timeout=60) as answer:
+            picture = cv2.imdecode(np.frombuffer(answer.read(), np.uint8), cv2.IMREAD_COLOR)
+        assert max(picture.shape[:2]) == min(32, max(camera.intrinsics.height, camera.intrinsics.width))
+        assert len(np.unique(picture)) > 16
 
 
 def test_status_names_every_process(service: Service) -> None:

@@ -10,6 +10,7 @@ CONTROL_REQUEST = "control/request"
 CONTROL_STATE = "control/state"
 STATUS = "status"
 ALIVE = "alive"
+PREVIEW = "preview"
 
 _UNSAFE = re.compile(r"[^A-Za-z0-9._-]")
 
@@ -27,3 +28,8 @@ def status_key(process: str) -> str:
 def alive_key(process: str) -> str:
     """Return the key of the liveliness token of a process."""
     return f"{ALIVE}/{process}"
+
+
+def preview_key(process: str) -> str:
+    """Return the key under which a capture process answers questions for a picture of its newest frame."""
+    return f"{PREVIEW}/{process}"

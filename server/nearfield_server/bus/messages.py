@@ -76,6 +76,47 @@ class ControlState:
             raise BusError(f"control/state: malformed ({type(error).__name__}: {error})") from error
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PreviewRequest:
+    """Question for a small picture of a camera's newest frame.
+
+    Attributes:
+        max_side: longer side of the picture, 16 to 1024 pixels.
+        stops: brighter (+) or darker (-) than chosen from the picture, powers of two, -20 to 20.
+        marks: paint pixels that are no measurement in colours of their own.
+    """
+
+    max_side: int = 384
+    stops: float = 0.0
+    marks: bool = True
+
+    def to_json(self) -> bytes:
+        """Serialise; `from_json` gives back an equal request."""
+        return json.dumps({"max_side": self.max_side, "stops": self.stops, "marks": self.marks}).encode()
+
+    @classmethod
+    def from_json(cls, payload: bytes) -> PreviewRequest:
+        """Parse and check.
+
+        Raises:
+            BusError: not JSON, or a field is missing or impossible.
+        """
+        message = parse_object(payload, "preview")
+        try:
+            request = cls(
+                max_side=int(message["max_side"]),
+                stops=float(message["stops"]),
+                marks=bool(message["marks"]),
+            )
+        except (KeyError, TypeError, ValueError) as error:
+            raise BusError(f"preview: malformed ({type(error).__name__}: {error})") from error
+        if not 16 <= request.max_side <= 1024 or not -20.0 <= request.stops <= 20.0:
+            raise BusError(
+                f"preview: expected max_side from 16 to 1024 and stops from -20 to 20, found {request.max_side} and {request.stops}"
+            )
+        return request
+
+
 def _weight(value: Any) -> float:
     weight = float(value)
     if not (math.isfinite(weight) and weight >= 0):

@@ -120,24 +120,29 @@ class Bus:
 
     def answer(self, key: str, reply: Callable[[], bytes]) -> None:
         """Answer questions for a key with what `reply()` returns at that moment."""
+        self.answer_question(key, lambda _: reply())
+
+    def answer_question(self, key: str, reply: Callable[[bytes], bytes]) -> None:
+        """Answer questions for a key with `reply(question)`."""
         full_key = self._key(key)
 
         def respond(query: Any) -> None:
             try:
-                query.reply(full_key, reply())
+                payload = query.payload
+                query.reply(full_key, reply(b"" if payload is None else payload.to_bytes()))
             except Exception:
                 _log.exception("answering failed", key=key)
 
         self._declared.append(self._session.declare_queryable(full_key, respond))
 
-    def ask(self, key: str, timeout_s: float = 1.0) -> bytes | None:
-        """Ask for a key and return the first answer, or None if there is none in time.
+    def ask(self, key: str, timeout_s: float = 1.0, question: bytes = b"") -> bytes | None:
+        """Ask for a key, with more about what is wanted in `question`; return the first answer, or None if there is none in time.
 
         Raises:
             BusError: the session is closed.
         """
         try:
-            for answer in self._session.get(self._key(key), timeout=timeout_s):
+            for answer in self._session.get(self._key(key), timeout=timeout_s, payload=question or None):
                 if answer.ok is not None:
                     payload: bytes = answer.ok.payload.to_bytes()
                     return payload

@@ -13,12 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nearfield_server.bus.backoff import Backoff
+from nearfield_server.bus.keys import preview_key
 from nearfield_server.bus.worker import Worker, run_worker
 from nearfield_server.capture.cameras import image_circle, make_source
 from nearfield_server.capture.frame_metadata import metadata_json
-from nearfield_server.capture.frame_ring import FrameRingWriter
+from nearfield_server.capture.frame_ring import FrameRingReader, FrameRingWriter
 from nearfield_server.capture.frame_signal import FrameSignal
 from nearfield_server.capture.ingest import ingest_frame
+from nearfield_server.capture.preview import PreviewPainter
 from nearfield_server.capture.ring_memory import COUNTER_NAMES, RingShape
 from nearfield_server.capture.source import RawFrame, Source
 from nearfield_server.errors import AssetError, CaptureError
@@ -196,6 +198,8 @@ def main(worker: Worker) -> None:
     ring = FrameRingWriter(worker.spec.ring_fds[camera_index], camera.camera_id, shape)
     tolerance = room.change_tolerances[camera_index]
     pump = FramePump(source, ring, FrameSignal(worker.spec.signal_fd), with_circle, tolerance)
+    readable = FrameRingReader(worker.spec.ring_fds[camera_index], camera.camera_id, shape)
+    worker.bus.answer_question(preview_key(worker.spec.process), PreviewPainter(readable, with_circle).answer)
     worker.wait_for_control(20.0)
     frame_rate = float(worker.spec.options.get("frame_rate") or room.frame_rate)
 

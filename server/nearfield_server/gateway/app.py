@@ -18,6 +18,7 @@ from nearfield_server.gateway.connection import serve_websocket
 from nearfield_server.gateway.hub import LightHub
 from nearfield_server.gateway.metrics import CONTENT_TYPE
 from nearfield_server.gateway.ports import ControlSink
+from nearfield_server.gateway.previews import CameraPreviews, add_preview_routes
 from nearfield_server.gateway.scene_description import SceneDescription
 from nearfield_server.gateway.security import Guard, HostPolicy
 
@@ -45,6 +46,7 @@ def create_app(
     lan: bool = False,
     status: Callable[[], dict[str, Any]] | None = None,
     history: Callable[[], dict[str, Any]] | None = None,
+    previews: CameraPreviews | None = None,
 ) -> FastAPI:
     """Build the application.
 
@@ -58,6 +60,7 @@ def create_app(
         lan: whether the service may be reached by the machine's own addresses.
         status: further entries of `GET /api/status`.
         history: answer of `GET /api/history`, see `history.StatusHistory.as_json`.
+        previews: pictures of the cameras, if there are any.
     """
 
     @contextlib.asynccontextmanager
@@ -77,6 +80,8 @@ def create_app(
     )
     static = _ClientFiles(directory=static_dir, html=True, check_dir=False)
     _add_rest(app, scene, hub, status, history)
+    if previews is not None:
+        add_preview_routes(app, previews)
     _add_files(app, static, static_dir, dict(assets or {}))
 
     @app.websocket("/ws")

@@ -16,6 +16,7 @@ from nearfield_server.gateway.bus_link import BusLink
 from nearfield_server.gateway.camera_summary import summarise_cameras
 from nearfield_server.gateway.history import StatusHistory
 from nearfield_server.gateway.hub import LightHub
+from nearfield_server.gateway.previews import CameraPreviews
 from nearfield_server.gateway.scene_builder import ServedScene, build_scene
 from nearfield_server.gateway.server import serve_app
 from nearfield_server.geometry.cache import load_or_build_texels
@@ -59,6 +60,7 @@ async def run_gateway(worker: Worker, scene: ServedScene, hub: LightHub, link: B
         lan=lan,
         status=lambda: _status(link),
         history=lambda: history.as_json(time.monotonic()),
+        previews=CameraPreviews(worker.bus, scene.camera_ids),
     )
     stop = asyncio.Event()
     listener = socket.socket(fileno=os.dup(int(options["listen_fd"])))

@@ -32,10 +32,11 @@ from nearfield_server.scene.room_model import export_room_glb
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ServedScene:
-    """A scene description, and the files behind its URLs (`assets/room.glb` -> path)."""
+    """A scene description, the files behind its URLs (`assets/room.glb` -> path), and the names of the room's cameras."""
 
     description: SceneDescription
     assets: dict[str, Path]
+    camera_ids: tuple[str, ...]
 
 
 def build_scene(
@@ -108,7 +109,8 @@ def build_scene(
         ),
         settings=SettingsDescription(num_vals=num_vals or room.light.num_vals),
     )
-    return ServedScene(description=description, assets=assets)
+    camera_ids = tuple(camera.camera_id for camera in room.cameras)
+    return ServedScene(description=description, assets=assets, camera_ids=camera_ids)
 
 
 def _exported_room(mesh: RoomMesh) -> Path:

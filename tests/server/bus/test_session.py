@@ -194,3 +194,14 @@ def test_the_configuration_names_no_other_interface() -> None:
     assert config["listen"]["endpoints"] == ["tcp/127.0.0.1:1"]
     assert config["connect"]["endpoints"] == ["tcp/127.0.0.1:2"]
     assert config["scouting"]["multicast"]["enabled"] is False
+
+
+def test_an_answer_depends_on_the_question(hub: Bus, port: int) -> None:
+    with Bus("lab", connect_port=port) as child:
+        hub.answer_question("double", lambda question: 2 * question)
+        hub.answer("plain", lambda: b"same")
+        deadline = time.monotonic() + 120
+        while child.ask("double", question=b"ab") != b"abab":
+            assert time.monotonic() < deadline
+        assert child.ask("double") == b""
+        assert child.ask("plain", question=b"whatever") == b"same"
