@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,13 @@ from nearfield_server.capture.sensor_model import SensorModel
 from nearfield_server.capture.source import Source
 from nearfield_server.errors import ConfigError
 from nearfield_server.scene.bundle import SCENE_FILE, load_bundle
-from nearfield_server.scene.room_config import ExrSequenceSourceConfig, LabSourceConfig, RoomConfig
+from nearfield_server.scene.room_config import (
+    ExrSequenceSourceConfig,
+    LabSourceConfig,
+    RoomConfig,
+    SourceConfig,
+    SwitchableLight,
+)
 
 
 def image_circle(intrinsics: FisheyeIntrinsics) -> NDArray[np.bool_]:
@@ -43,7 +50,7 @@ def load_timeline(room: RoomConfig, name: str) -> Timeline:
 
 
 def make_source(room: RoomConfig, camera_index: int, options: dict[str, Any]) -> Source:
-    """Build the source of one camera; `open()` is left to the caller.
+    """Build the source of one camera of a room; `open()` is left to the caller.
 
     Args:
         room: the room file.
@@ -53,35 +60,81 @@ def make_source(room: RoomConfig, camera_index: int, options: dict[str, Any]) ->
     Raises:
         ConfigError: an option does not fit the room.
     """
-    camera, source = room.cameras[camera_index], room.sources[camera_index]
-    height, width = camera.intrinsics.height, camera.intrinsics.width
+    camera = room.cameras[camera_index]
+    plan = SourcePlan(
+        camera_id=camera.camera_id,
+        camera_index=camera_index,
+        config=room.sources[camera_index],
+        height=camera.intrinsics.height,
+        width=camera.intrinsics.width,
+        frame_rate=room.frame_rate,
+        lights=room.lights,
+        timeline=load_timeline(room, options["timeline"]) if options.get("timeline") else None,
+        sensor=options.get("sensor"),
+    )
+    return build_source(plan)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SourcePlan:
+    """What a source is made from; room files and the files of camera nodes (several machines) both come down to this.
+
+    Attributes:
+        camera_id: name for messages.
+        camera_index: position in its file; each simulated camera has noise of its own.
+        config: the `source` table.
+        height: pixels. width: pixels.
+        frame_rate: frames per second.
+        lights: switchable lights of a simulated room.
+        timeline: lighting sequence that simulated cameras play.
+        sensor: fields of `SensorModel` for simulated cameras; None = exact pictures.
+    """
+
+    camera_id: str
+    camera_index: int
+    config: SourceConfig
+    height: int
+    width: int
+    frame_rate: float
+    lights: tuple[SwitchableLight, ...] = ()
+    timeline: Timeline | None = None
+    sensor: dict[str, float] | None = None
+
+
+def build_source(plan: SourcePlan) -> Source:
+    """Build a source; `open()` is left to the caller.
+
+    Raises:
+        ConfigError: there is no such kind of source here.
+    """
+    source = plan.config
     if isinstance(source, ExrSequenceSourceConfig):
         return ExrSequenceSource(
             ExrSequence(
-                camera_id=camera.camera_id,
+                camera_id=plan.camera_id,
                 folder=source.folder,
-                frame_rate=room.frame_rate,
-                height=height,
-                width=width,
+                frame_rate=plan.frame_rate,
+                height=plan.height,
+                width=plan.width,
             )
         )
     if not isinstance(source, LabSourceConfig):
-        raise ConfigError(f"camera {camera.camera_id}: sources of kind {source.kind} are not built yet")
+        raise ConfigError(f"camera {plan.camera_id}: sources of kind {source.kind} are not built yet")
     scales = np.array(
-        [np.asarray(light.radiance) / light.basis_radiance for light in room.lights], np.float64
+        [np.asarray(light.radiance) / light.basis_radiance for light in plan.lights], np.float64
     )
-    sensor = options.get("sensor")
+    sensor = plan.sensor
     return LabSource(
         LabCamera(
-            camera_id=camera.camera_id,
+            camera_id=plan.camera_id,
             basis_files=source.files,
             light_scales=scales.reshape(-1, 3),
-            timeline=load_timeline(room, options["timeline"]) if options.get("timeline") else None,
+            timeline=plan.timeline,
             # Each camera has noise of its own.
-            sensor=SensorModel(**{**sensor, "seed": sensor.get("seed", 1) + camera_index})
+            sensor=SensorModel(**{**sensor, "seed": sensor.get("seed", 1) + plan.camera_index})  # type: ignore[arg-type]
             if sensor
             else None,
-            height=height,
-            width=width,
+            height=plan.height,
+            width=plan.width,
         )
     )
