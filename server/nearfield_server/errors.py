@@ -4,7 +4,8 @@
     |- ConfigError          a room file, setting or command line value is wrong
     |- AssetError           a file (GLB, EXR, bundle, prepared model) is broken or missing
     |- CaptureError         a camera or frame source fails
-    |  `- FrameRingError    shared memory does not hold what its header promises
+    |  |- FrameRingError    shared memory does not hold what its header promises
+    |  `- AravisError       what libaravis reported (capture/aravis/library.py)
     |- GraphicsError        no usable OpenGL context, or a GL call failed
     |- BusError             the message bus cannot be opened or a message is malformed
     `- ServiceError         a process of the service cannot start or keep running (port in use, ...)
