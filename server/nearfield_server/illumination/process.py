@@ -1,6 +1,6 @@
 """The illumination process: `python -m nearfield_server.illumination.process`, started by the supervisor.
 
-Newest frames in, light packets out. It waits for the eventfd "frame ready" and for changes of the control state, never for a camera.
+Frames in, light packets out. It waits for the eventfd "frame ready" and for changes of the control state, never for a camera.
 """
 
 from __future__ import annotations
@@ -139,13 +139,15 @@ class Illumination:
     def status(self, camera_ids: list[str], stale_after_s: float) -> dict[str, Any]:
         """Return the fields of the status message."""
         now_ns = time.monotonic_ns()
-        cameras = camera_report(self._collector.readers, camera_ids, now_ns, stale_after_s)
+        pictures = self._collector.pictures
+        cameras = camera_report(self._collector.readers, camera_ids, now_ns, stale_after_s, pictures)
         ages = [camera["age_s"] for camera in cameras if camera["age_s"] is not None]
         status: dict[str, Any] = {
             "backend": self._pipeline.backend_name,
             "cameras": cameras,
             "light_age_s": max(ages, default=None),
             "stale": any(camera["stale"] for camera in cameras),
+            "spread_ms": round(pictures.spread_ns * 1e-6, 3),
             "sequence": self._writer.sequence,
             "revision": self._published_revision,
             "updates": self._updates,
@@ -200,7 +202,8 @@ def main(worker: Worker) -> None:
         for fd, camera in zip(worker.spec.ring_fds, room.cameras, strict=True)
     ]
     pipeline, mesh, texels = build_pipeline(room, worker.spec.options, worker)
-    collector = FrameCollector(readers)
+    period_s = 1.0 / (worker.spec.options.get("frame_rate") or room.frame_rate)
+    collector = FrameCollector(readers, period_s)
     illumination = Illumination(
         worker,
         pipeline,
@@ -215,7 +218,6 @@ def main(worker: Worker) -> None:
     signal = FrameSignal(worker.spec.signal_fd)
     worker.on_control(signal.notify)
     camera_ids = [camera.camera_id for camera in room.cameras]
-    period_s = 1.0 / (worker.spec.options.get("frame_rate") or room.frame_rate)
     # A camera asked for one frame in two seconds is not stale in between.
     stale_after_s = max(STALE_AFTER_S, 3.0 * period_s)
     worker.describe(lambda: illumination.status(camera_ids, stale_after_s))
@@ -224,7 +226,8 @@ def main(worker: Worker) -> None:
         assert state is not None
         illumination.step(state, time.monotonic())
         worker.beat(preparing="")
-        if signal.wait(_WAIT_S):
+        # A picture that waits for those of other cameras is used within a period, whether or not they come.
+        if signal.wait(min(_WAIT_S, 0.25 * period_s) if collector.pictures.is_holding else _WAIT_S):
             wait_for_all(collector, signal, period_s)
 
 

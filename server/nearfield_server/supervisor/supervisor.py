@@ -150,6 +150,7 @@ class Supervisor:
                 Child(self._spec(f"cam{index}", options), "nearfield_server.capture.process", fds)
             )
         light = {
+            "frame_rate": settings.frame_rate,
             "num_vals": settings.num_vals,
             "split_ratio": settings.split_ratio,
             "backend": settings.backend,
