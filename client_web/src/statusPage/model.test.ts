@@ -39,7 +39,7 @@ const status = {
         gateway: { pid: null, restarts: 2, last_fault: 'killed by SIGKILL', fault: null },
       },
     },
-    illumination: { backend: 'cpu', updates: 5, phase: 'running' },
+    illumination: { backend: 'cpu', light_age_s: 0.25, phase: 'running' },
     cam0: { phase: 'running' },
   },
 }
@@ -54,7 +54,13 @@ describe('status', () => {
       exposuresS: [0.01, 0.0001],
       fault: 'no frame for 0.6 s',
     })
-    expect(parsed).toMatchObject({ isStale: true, backend: 'cpu', uptimeS: 60, recording: null })
+    expect(parsed).toMatchObject({
+      isStale: true,
+      lightAgeS: 0.25,
+      backend: 'cpu',
+      uptimeS: 60,
+      recording: null,
+    })
   })
 
   it('tells a process that is away, and why', () => {

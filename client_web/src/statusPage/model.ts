@@ -69,7 +69,7 @@ const status = v.object({
 })
 
 const supervisor = v.object({ uptime_s: finite, children: v.record(v.string(), child) })
-const illumination = v.object({ backend: v.string(), updates: finite })
+const illumination = v.object({ backend: v.string(), light_age_s: known })
 const recorder = v.object({
   folder: v.string(),
   frames_written: finite,
@@ -139,7 +139,8 @@ export function parseStatus(json: unknown): Status | null {
     cameras,
     processes: supervision.success ? processList(supervision.output.children, processes) : [],
     recording: parseRecording(processes.recorder),
-    lightAgeS: light.age_s,
+    // As measured: the age in `light` grows with that of the report.
+    lightAgeS: pipeline.success ? pipeline.output.light_age_s : light.age_s,
     isStale: light.is_stale,
     packetBytes: light.num_bytes,
     backend: pipeline.success ? pipeline.output.backend : null,
