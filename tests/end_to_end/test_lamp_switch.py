@@ -134,3 +134,37 @@ def test_nothing_is_drawn_when_nothing_changes(page: Any) -> None:
     page.wait_for_timeout(3000)
     # The time of the last frame would differ if another one had been drawn meanwhile.
     assert page.evaluate("() => window.nearfield.state().lastFrame") == before
+
+
+def test_the_status_page_shows_every_camera_with_its_picture_and_its_last_minutes(
+    page: Any, service: Service
+) -> None:
+    room = load_bundle(TINY_ROOM)
+    status = page.context.browser.new_page()
+    problems: list[str] = []
+    status.on("console", lambda message: problems.append(message.text) if message.type == "error" else None)
+    status.on("pageerror", lambda error: problems.append(str(error)))
+    status.goto(page.url.split("#")[0].rstrip("/") + "/status")
+    cards = status.locator(".camera")
+    cards.nth(len(room.cameras) - 1).wait_for()
+    assert cards.locator("h3").all_inner_texts() == [camera.model.camera_id for camera in room.cameras]
+    cards.nth(0).get_by_text("live", exact=True).wait_for()
+    # A picture that is all there, of a room that is lit.
+    status.wait_for_function(
+        "() => { const image = document.querySelector('.preview img'); return !image.hidden && image.naturalWidth > 0 }"
+    )
+    brightest = status.evaluate(
+        """() => {
+            const image = document.querySelector('.preview img')
+            const canvas = new OffscreenCanvas(image.naturalWidth, image.naturalHeight)
+            const context = canvas.getContext('2d')
+            context.drawImage(image, 0, 0)
+            return Math.max(...context.getImageData(0, 0, canvas.width, canvas.height).data.filter((_, i) => i % 4 !== 3))
+        }"""
+    )
+    assert brightest > 128
+    status.wait_for_function("() => document.querySelector('.camera .chart path').getAttribute('d') !== ''")
+    names = status.locator(".work-name").all_inner_texts()
+    assert {"illumination", "gateway", "cam0"} <= set(names)
+    status.close()
+    assert problems == []
