@@ -28,6 +28,9 @@ COMMANDS: dict[str, CommandEntry] = {
     "serve": CommandEntry(
         "nearfield_server.commands.serve", "serve", "Serve a room: cameras in, light and page out."
     ),
+    "doctor": CommandEntry(
+        "nearfield_server.commands.doctor", "doctor", "Check this machine and say what to do."
+    ),
     "prepare": CommandEntry(
         "nearfield_server.commands.prepare", "prepare", "Prepare a virtual object for lighting."
     ),

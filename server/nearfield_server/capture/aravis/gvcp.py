@@ -140,9 +140,13 @@ def decode_discovery(
 _DISCOVERY_ID: Final = 0xFFFF
 
 
-def discovery_command() -> bytes:
-    """Ask every GigE Vision device that hears it to describe itself, to whoever asks."""
-    return encode_command(DISCOVERY, b"", _DISCOVERY_ID, flags=0x11)
+def discovery_command(*, to_all: bool = True) -> bytes:
+    """Ask every GigE Vision device that hears it to describe itself.
+
+    Args:
+        to_all: a camera may answer by broadcast (flag 0x10), as one whose network is not the host's must.
+    """
+    return encode_command(DISCOVERY, b"", _DISCOVERY_ID, flags=0x11 if to_all else 0x01)
 
 
 def _text(field: bytes) -> str:
@@ -185,7 +189,7 @@ class ControlChannel:
 
     def describe(self) -> FoundCamera:
         """What the camera says of itself; raises CaptureError if nobody or no camera answers."""
-        packet = self._exchange(discovery_command(), DISCOVERY, _DISCOVERY_ID)
+        packet = self._exchange(discovery_command(to_all=False), DISCOVERY, _DISCOVERY_ID)
         found = decode_discovery(packet, "", None)
         if found is None:
             raise CaptureError(f"what answers at {self.address} is no GigE Vision camera")

@@ -37,6 +37,7 @@ def answer(
 
 def test_the_command_is_that_of_the_standard() -> None:
     assert discovery_command() == bytes([0x42, 0x11, 0, 2, 0, 0, 0xFF, 0xFF])
+    assert discovery_command(to_all=False) == bytes([0x42, 0x01, 0, 2, 0, 0, 0xFF, 0xFF])
     assert encode_command(0x80, b"\0\0\x0a\0", 7) == bytes([0x42, 1, 0, 0x80, 0, 4, 0, 7, 0, 0, 0x0A, 0])
 
 

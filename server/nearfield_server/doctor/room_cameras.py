@@ -1,0 +1,164 @@
+"""The cameras that a room names: there, free, and able to send what the room expects."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+
+from nearfield_server.doctor.finding import Finding, ok, problem, warning
+from nearfield_server.doctor.machine import Machine
+from nearfield_server.doctor.network import GigeStream
+from nearfield_server.errors import CaptureError
+from nearfield_server.records import CameraModel
+from nearfield_server.scene.device_schema import (
+    AravisSourceTable,
+    BracketTable,
+    DeviceSourceTable,
+    RemoteSourceTable,
+    V4l2SourceTable,
+)
+from nearfield_server.scene.room_config import RoomConfig
+
+
+def bits_per_pixel(pixel_format: str) -> int:
+    """Bits of a pixel on the wire, from a name of the GenICam Pixel Format Naming Convention; 16 where the name does not tell."""
+    found = re.search(r"(\d+)(p|Packed)?(?:_|$)", pixel_format)
+    if found is None:
+        return 16
+    if pixel_format.startswith("YUV") or pixel_format.startswith("YCbCr"):
+        return {"411": 12, "422": 16}.get(found[1], 24)
+    bits, packing = int(found[1]), found[2]
+    if packing is None:
+        bits = 8 * -(-bits // 8)
+    elif packing == "Packed" and bits == 10:
+        bits = 12  # GigE Vision 1: two pixels in three bytes, whatever their depth
+    return bits * (3 if pixel_format.startswith(("RGB", "BGR")) else 1)
+
+
+def frame_bytes(camera: CameraModel, source: DeviceSourceTable) -> int:
+    """Payload of one frame."""
+    width, height = camera.intrinsics.width, camera.intrinsics.height
+    if isinstance(source, AravisSourceTable) and source.region is not None:
+        width, height = source.region[2:]
+    return width * height * bits_per_pixel(source.pixel_format) // 8
+
+
+def exposures_per_picture(source: DeviceSourceTable) -> int:
+    """Frames that a picture is merged from."""
+    hdr = source.hdr
+    if not isinstance(hdr, BracketTable):
+        return 1
+    return len(hdr.exposures_s) or hdr.num_exposures
+
+
+def gige_streams(room: RoomConfig) -> list[GigeStream]:
+    """What the GigE cameras of a room send that are named by address."""
+    return [
+        GigeStream(
+            camera_id=camera.camera_id,
+            address=str(source.address),
+            payload=frame_bytes(camera, source),
+            frame_rate=room.frame_rate * exposures_per_picture(source),
+        )
+        for camera, source in zip(room.cameras, room.sources, strict=True)
+        if isinstance(source, AravisSourceTable) and source.address is not None
+    ]
+
+
+def recorded_bytes_per_s(room: RoomConfig) -> float:
+    """Bytes per second of all cameras, uncompressed sensor codes; half floats for cameras that are no devices."""
+    total = 0.0
+    for camera, source in zip(room.cameras, room.sources, strict=True):
+        if isinstance(source, AravisSourceTable | V4l2SourceTable):
+            total += frame_bytes(camera, source) * exposures_per_picture(source) * room.frame_rate
+        else:
+            total += camera.intrinsics.width * camera.intrinsics.height * 6 * room.frame_rate
+    return total
+
+
+def check_room_cameras(machine: Machine, room: RoomConfig) -> list[Finding]:
+    """One finding for each camera of the room that is a device or on another machine."""
+    findings = []
+    for camera, source in zip(room.cameras, room.sources, strict=True):
+        name = f"camera {camera.camera_id}"
+        if isinstance(source, AravisSourceTable):
+            findings.append(_check_aravis(machine, name, source))
+        elif isinstance(source, V4l2SourceTable):
+            findings.append(_check_v4l2(machine, name, source))
+        elif isinstance(source, RemoteSourceTable):
+            findings.append(ok(name, f"of node {source.node}: run `nearfield doctor` there too"))
+    return findings
+
+
+def _check_aravis(machine: Machine, name: str, source: AravisSourceTable) -> Finding:
+    if source.address is not None:
+        return _check_gige(machine, name, source)
+    if source.interface is not None:
+        return warning(
+            name,
+            f"serial {source.serial} on {source.interface}: not looked for, because that is a broadcast",
+            f"nearfield cameras --interface {source.interface}",
+        )
+    return _check_usb(machine, name, source)
+
+
+def _check_gige(machine: Machine, name: str, source: AravisSourceTable) -> Finding:
+    address = str(source.address)
+    try:
+        found = machine.ask_gige(address)
+    except CaptureError as error:
+        return problem(
+            name,
+            str(error),
+            f"ping -c 1 {address}   # nearfield cameras --interface INTERFACE finds the addresses of cameras",
+        )
+    who = f"{found.camera.vendor} {found.camera.model} {found.camera.serial} at {address}"
+    if found.is_controlled:
+        return warning(
+            name,
+            f"{who}: controlled by another program",
+            "end that program, a running `nearfield serve` too; a camera frees itself a few seconds later",
+        )
+    try:
+        formats = machine.pixel_formats(source)
+    except CaptureError as error:
+        return warning(
+            name, f"{who} answers, but cannot be opened: {error}", f"nearfield cameras --address {address}"
+        )
+    return _check_format(name, who, source.pixel_format, formats)
+
+
+def _check_usb(machine: Machine, name: str, source: AravisSourceTable) -> Finding:
+    try:
+        formats = machine.pixel_formats(source)
+    except CaptureError as error:
+        return problem(name, str(error), "nearfield cameras")
+    return _check_format(name, f"USB3 Vision camera {source.serial}", source.pixel_format, formats)
+
+
+def _check_v4l2(machine: Machine, name: str, source: V4l2SourceTable) -> Finding:
+    if not machine.names(source.path):
+        return problem(
+            name, f"{source.path} is not there", "nearfield cameras   # lists what is, with stable paths"
+        )
+    if not machine.may_use(source.path):
+        return problem(
+            name,
+            f"{source.path}: this user may not use it",
+            f"sudo usermod -aG video {machine.user()}   # then log in again",
+        )
+    try:
+        formats = machine.pixel_formats(source)
+    except CaptureError as error:
+        return problem(name, str(error), "nearfield cameras")
+    return _check_format(name, source.path, source.pixel_format, formats)
+
+
+def _check_format(name: str, who: str, pixel_format: str, formats: Sequence[str]) -> Finding:
+    if pixel_format in formats or not formats:
+        return ok(name, f"{who}: free, {pixel_format}")
+    return problem(
+        name,
+        f"{who} does not offer {pixel_format}, but {', '.join(formats)}",
+        f'in the room file: pixel_format = "{formats[0]}"',
+    )
