@@ -11,6 +11,10 @@ CONTROL_STATE = "control/state"
 STATUS = "status"
 ALIVE = "alive"
 PREVIEW = "preview"
+LIGHT_LOG = "recording/light"
+LIGHT_LOG_BEGIN = "recording/begin"
+LIGHT_LOG_END = "recording/end"
+RECORDING_FINISH = "recording/finish"
 
 _UNSAFE = re.compile(r"[^A-Za-z0-9._-]")
 

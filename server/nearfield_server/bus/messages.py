@@ -30,12 +30,15 @@ class ControlState:
         light_weights: one per switchable light, >= 0.
         objects: one per object of the room file.
         atlas_wanted: whether any client asks for the room's radiance atlas.
+        started_ns: CLOCK_MONOTONIC at which every process of the service ran for the first time; 0 until then. Recorded cameras begin
+            together at it.
     """
 
     revision: int
     light_weights: tuple[float, ...]
     objects: tuple[ObjectPlacement, ...]
     atlas_wanted: bool = False
+    started_ns: int = 0
 
     def to_json(self) -> bytes:
         """Serialise; `from_json` gives back an equal state."""
@@ -48,6 +51,7 @@ class ControlState:
                     for o in self.objects
                 ],
                 "atlas_wanted": self.atlas_wanted,
+                "started_ns": str(self.started_ns),
             },
             allow_nan=False,
         ).encode()
@@ -71,6 +75,7 @@ class ControlState:
                     for entry in message["objects"]
                 ),
                 atlas_wanted=bool(message["atlas_wanted"]),
+                started_ns=int(message.get("started_ns", 0)),
             )
         except (KeyError, TypeError, ValueError) as error:
             raise BusError(f"control/state: malformed ({type(error).__name__}: {error})") from error

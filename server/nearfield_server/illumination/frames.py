@@ -6,7 +6,7 @@ import itertools
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -21,6 +21,27 @@ _GONE_AFTER_PERIODS = 4.0
 _RETRY_REVISION = 1 << 62
 
 
+class FrameSource(Protocol):
+    """Where the illumination takes frames from: the rings (`FrameCollector`) or a recording."""
+
+    had_news: bool
+    torn: int
+    always_copies: bool
+    pictures: PictureSet
+
+    def collect(self) -> list[CameraFrame | None]:
+        """The frame in use of every camera, or None before its first one."""
+
+    def stayed_whole(self) -> bool:
+        """Whether no frame of the last `collect` was overwritten since."""
+
+    def recollect(self) -> list[CameraFrame | None]:
+        """Copies under revisions never used before."""
+
+    def report(self, camera_ids: Sequence[str], now_ns: int, stale_after_s: float) -> list[dict[str, Any]]:
+        """Age and staleness per camera, see `camera_report`."""
+
+
 @dataclass(slots=True)
 class FrameCollector:
     """Takes the frames that belong together (`pairing`) without copying, and tells afterwards whether they stayed whole.
@@ -33,6 +54,7 @@ class FrameCollector:
         torn: how often a frame was overwritten while it was in use.
         had_news: whether a camera delivered or confirmed a picture between the last two calls of `collect`.
         pictures: what `collect` chose last.
+        always_copies: use copies alone: nothing in use is ever overwritten, so that a recording can say what every update was made of.
         clock: CLOCK_MONOTONIC, ns.
     """
 
@@ -42,6 +64,7 @@ class FrameCollector:
     had_news: bool = False
     pictures: PictureSet = field(default_factory=lambda: choose_pictures((), (), 0))
     clock: Callable[[], int] = time.monotonic_ns
+    always_copies: bool = False
     _confirmed: list[int] = field(default_factory=list)
     # Per camera: the frame used last, and the newest one with the time when it was seen first.
     _used: list[int] = field(default_factory=list)
@@ -50,11 +73,13 @@ class FrameCollector:
     _distrusted: set[int] = field(default_factory=set)
     _views: list[FrameView | None] = field(default_factory=list)
     _copy_rounds: int = 0
+    _copies: list[CameraFrame | None] = field(default_factory=list)
     _retries: itertools.count[int] = field(default_factory=lambda: itertools.count(_RETRY_REVISION))
 
     def __post_init__(self) -> None:
         self._used = [0] * len(self.readers)
         self._seen = [(0, 0)] * len(self.readers)
+        self._copies = [None] * len(self.readers)
 
     def is_complete(self, period_s: float) -> bool:
         """Whether every camera that still delivers has done so in the period of the newest picture."""
@@ -67,8 +92,8 @@ class FrameCollector:
         confirmed = [reader.confirmed_ns for reader in self.readers]
         self.had_news, self._confirmed = confirmed != self._confirmed, confirmed
         views = self._choose()
-        if self._copy_rounds > 0:
-            self._copy_rounds -= 1
+        if self.always_copies or self._copy_rounds > 0:
+            self._copy_rounds = max(self._copy_rounds - 1, 0)
             self._views = []
             frames = [self._copy(index, view) for index, view in enumerate(views)]
         else:
@@ -110,8 +135,12 @@ class FrameCollector:
     def _copy(self, index: int, view: FrameView | None) -> CameraFrame | None:
         if view is None:
             return None
+        kept = self._copies[index]
+        if kept is not None and kept.content_revision == view.content_revision:
+            return kept
         frame = replace(view.as_frame(index), pixels=view.pixels.copy())
-        return frame if view.still_valid() else self.readers[index].newest_copy(index)
+        self._copies[index] = frame if view.still_valid() else self.readers[index].newest_copy(index)
+        return self._copies[index]
 
     def _note_used(self, frames: Sequence[CameraFrame | None]) -> None:
         for frame in frames:
@@ -140,6 +169,10 @@ class FrameCollector:
             else replace(self._with_trusted_tiles(frame), content_revision=next(self._retries))
             for frame in frames
         ]
+
+    def report(self, camera_ids: Sequence[str], now_ns: int, stale_after_s: float) -> list[dict[str, Any]]:
+        """Age and staleness per camera, see `camera_report`."""
+        return camera_report(self.readers, camera_ids, now_ns, stale_after_s, self.pictures)
 
     def _with_trusted_tiles(self, frame: CameraFrame) -> CameraFrame:
         """Without tile revisions, once, if a torn picture of the camera went before."""

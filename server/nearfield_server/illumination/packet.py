@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
@@ -72,3 +72,36 @@ class PacketWriter:
         if packet[_LIGHT_OFFSET:] != self._packet[_LIGHT_OFFSET:]:
             self.sequence, self._packet = sequence, packet
         return self._packet
+
+    def forgetful(self) -> PacketWriter:
+        """A writer that goes on counting but knows no packet before: its next packet counts as news."""
+        return replace(self, _packet=b"")
+
+
+@dataclass(slots=True)
+class PacketStream:
+    """Which packet is in force after each update; the same for a live run and for its replay.
+
+    Attributes:
+        writer: numbers and encodes.
+        packet: in force; empty before the first update.
+        revision: of the update that it was made of.
+    """
+
+    writer: PacketWriter
+    packet: bytes = b""
+    revision: int = 0
+    _poses: list[int] = field(default_factory=list)
+
+    def take(self, update: LightUpdate, poses: list[ObjectPose]) -> bytes:
+        """Return the packet in force after an update.
+
+        Raises:
+            EncodeError: see `PacketWriter.write`.
+        """
+        revisions = [pose.revision for pose in poses]
+        # A moved object may have the same SH as before, but clients wait for the revision of its pose.
+        if update.revision != self.revision or revisions != self._poses:
+            self.packet = self.writer.write(update, poses)
+            self.revision, self._poses = update.revision, revisions
+        return self.packet

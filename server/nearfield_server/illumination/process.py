@@ -6,6 +6,7 @@ Frames in, light packets out. It waits for the eventfd "frame ready" and for cha
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -22,8 +23,9 @@ from nearfield_server.capture.ring_memory import RingShape
 from nearfield_server.geometry.cache import load_or_build
 from nearfield_server.geometry.probes import ProbeRays
 from nearfield_server.illumination.atlas_channel import AtlasChannel, build_downsampler
-from nearfield_server.illumination.frames import STALE_AFTER_S, FrameCollector, camera_report
-from nearfield_server.illumination.packet import PacketWriter
+from nearfield_server.illumination.frames import STALE_AFTER_S, FrameCollector, FrameSource
+from nearfield_server.illumination.light_journal import LightJournal
+from nearfield_server.illumination.packet import PacketStream, PacketWriter
 from nearfield_server.illumination.work_ledger import WorkLedger
 from nearfield_server.pipeline.runner import LightPipeline
 from nearfield_server.records import LightUpdate, ObjectPose, RoomMesh, TexelGeometry
@@ -73,16 +75,30 @@ class Illumination:
         self,
         worker: Worker,
         pipeline: LightPipeline,
-        collector: FrameCollector,
+        collector: FrameSource,
         writer: PacketWriter,
         atlas: AtlasChannel,
         bounds: list[ObjectBounds],
         ledger: WorkLedger,
+        journal: LightJournal | None = None,
+        make_pipeline: Callable[[], LightPipeline] | None = None,
     ) -> None:
+        """Put the parts together.
+
+        Args:
+            worker: bus and life of the process.
+            pipeline: in use from the start.
+            collector: where frames come from.
+            writer: numbers packets.
+            atlas: of the streamed radiance.
+            bounds: of every object.
+            ledger: account of the stages.
+            journal: tells a recorder what every update was made of.
+            make_pipeline: makes one without a past, for the begin of a recording.
+        """
         self._worker, self._pipeline, self._collector = worker, pipeline, collector
-        self._writer, self._atlas, self._bounds, self._ledger = writer, atlas, bounds, ledger
-        self._published_revision = 0
-        self._published_poses: list[int] = []
+        self._packets, self._atlas, self._bounds, self._ledger = PacketStream(writer), atlas, bounds, ledger
+        self._journal, self._make_pipeline = journal, make_pipeline
         self._published_s = 0.0
         self._packet = b""
         self._updates = 0
@@ -97,6 +113,7 @@ class Illumination:
 
         The newest packet is also repeated once per second: a gateway that has just started has heard none.
         """
+        self._begin_journal_if_asked()
         poses = object_poses(state, self._bounds)
         frames = self._collector.collect()
         if all(frame is None for frame in frames):
@@ -110,16 +127,27 @@ class Illumination:
             self._last_run = update
         if ran or self._collector.had_news:
             self._ledger.add(update.stages, now_s)
-        revisions = [pose.revision for pose in poses]
-        # A moved object may have the same SH as before, but clients wait for the revision of its pose.
         before = self._packet
-        if update.revision != self._published_revision or revisions != self._published_poses:
-            self._packet = self._writer.write(update, poses)
-            self._published_revision, self._published_poses = update.revision, revisions
+        self._packet = self._packets.take(update, poses)
+        if self._journal is not None:
+            self._journal.note(frames, poses, self._packet)
         if self._packet != before or now_s - self._published_s >= REPEAT_PERIOD_S:
             self._put_packet(now_s)
         self._atlas_due |= any(stage.name == "gather" and stage.ran for stage in update.stages)
         self._step_atlas(state.atlas_wanted, update.timestamp_ns, now_s)
+
+    def _begin_journal_if_asked(self) -> None:
+        """Start without a past when a recording begins, so that everything afterwards follows from what it holds."""
+        journal = self._journal
+        if journal is None or self._make_pipeline is None:
+            return
+        run = journal.take_request()
+        self._collector.always_copies = journal.is_on or run is not None
+        if run is None:
+            return
+        self._pipeline = self._make_pipeline()
+        self._packets = PacketStream(self._packets.writer.forgetful())
+        journal.begin(run, self._packets.writer, self._pipeline.backend_name)
 
     def _put_packet(self, now_s: float) -> None:
         self._worker.bus.put(LIGHT_PACKET, self._packet)
@@ -140,7 +168,7 @@ class Illumination:
         """Return the fields of the status message."""
         now_ns = time.monotonic_ns()
         pictures = self._collector.pictures
-        cameras = camera_report(self._collector.readers, camera_ids, now_ns, stale_after_s, pictures)
+        cameras = self._collector.report(camera_ids, now_ns, stale_after_s)
         ages = [camera["age_s"] for camera in cameras if camera["age_s"] is not None]
         status: dict[str, Any] = {
             "backend": self._pipeline.backend_name,
@@ -148,8 +176,8 @@ class Illumination:
             "light_age_s": max(ages, default=None),
             "stale": any(camera["stale"] for camera in cameras),
             "spread_ms": round(pictures.spread_ns * 1e-6, 3),
-            "sequence": self._writer.sequence,
-            "revision": self._published_revision,
+            "sequence": self._packets.writer.sequence,
+            "revision": self._packets.revision,
             "updates": self._updates,
             "torn_frames": self._collector.torn,
             "atlas_wanted": self._atlas_wanted,
@@ -161,29 +189,68 @@ class Illumination:
         return status
 
 
-def build_pipeline(
-    room: RoomConfig, options: dict[str, Any], worker: Worker
-) -> tuple[LightPipeline, RoomMesh, TexelGeometry]:
-    """Load the geometry of the room and set the pipeline up, with beats in between.
+def prepare_pipeline(
+    room: RoomConfig, options: dict[str, Any], progress: Callable[[str, float], None]
+) -> tuple[Callable[[], LightPipeline], RoomMesh, TexelGeometry]:
+    """Load the geometry of the room, and return what makes a pipeline without a past of it, as often as wanted.
+
+    Args:
+        room: the room.
+        options: `num_vals`, `split_ratio`, `backend`, where they differ from the room file.
+        progress: called with words and the share that is done.
+
+    Raises:
+        AssetError, ConfigError, GraphicsError: room model, settings or backend are unusable; the last two when a pipeline is made.
+    """
+    mesh, texels, table, fill, hidden = load_or_build(room, progress=progress)
+    changes = {name: options[name] for name in ("num_vals", "split_ratio") if options.get(name) is not None}
+    rays = ProbeRays(mesh, texels)
+
+    def make() -> LightPipeline:
+        return LightPipeline(
+            mesh,
+            texels,
+            table,
+            replace(room.light, **changes),
+            probe_rays=rays,
+            backend=options.get("backend") or "auto",
+            unseen_fill=fill,
+            hidden_light=hidden,
+        )
+
+    return make, mesh, texels
+
+
+def prepare_illumination(
+    worker: Worker, room: RoomConfig, collector: FrameSource, journal: LightJournal | None = None
+) -> Illumination:
+    """Prepare the room, with beats in between.
 
     Raises:
         AssetError, ConfigError, GraphicsError: room model, settings or backend are unusable.
     """
-    mesh, texels, table, fill, hidden = load_or_build(
-        room, progress=lambda text, part: worker.beat("starting", preparing=text, prepared=round(part, 3))
+    make_pipeline, mesh, texels = prepare_pipeline(
+        room,
+        worker.spec.options,
+        lambda text, part: worker.beat("starting", preparing=text, prepared=round(part, 3)),
     )
-    changes = {name: options[name] for name in ("num_vals", "split_ratio") if options.get(name) is not None}
-    pipeline = LightPipeline(
-        mesh,
-        texels,
-        table,
-        replace(room.light, **changes),
-        probe_rays=ProbeRays(mesh, texels),
-        backend=options.get("backend", "auto"),
-        unseen_fill=fill,
-        hidden_light=hidden,
+    return Illumination(
+        worker,
+        make_pipeline(),
+        collector,
+        # Milliseconds since boot: above everything that an earlier process of this room can have sent.
+        PacketWriter.for_room(mesh, time.monotonic_ns() // 1_000_000),
+        AtlasChannel(build_downsampler(texels), room_revision(mesh.content_hash)),
+        load_bounds(room),
+        WorkLedger(room.change_tolerances),
+        journal,
+        make_pipeline,
     )
-    return pipeline, mesh, texels
+
+
+def load_bounds(room: RoomConfig) -> list[ObjectBounds]:
+    """Bounds of every object of a room."""
+    return [object_bounds(load_source_model(item.model_path).positions) for item in room.objects]
 
 
 def wait_for_all(collector: FrameCollector, signal: FrameSignal, period_s: float) -> None:
@@ -201,19 +268,9 @@ def main(worker: Worker) -> None:
         FrameRingReader(fd, camera.camera_id, RingShape(camera.intrinsics.height, camera.intrinsics.width))
         for fd, camera in zip(worker.spec.ring_fds, room.cameras, strict=True)
     ]
-    pipeline, mesh, texels = build_pipeline(room, worker.spec.options, worker)
     period_s = 1.0 / (worker.spec.options.get("frame_rate") or room.frame_rate)
     collector = FrameCollector(readers, period_s)
-    illumination = Illumination(
-        worker,
-        pipeline,
-        collector,
-        # Milliseconds since boot: above everything that an earlier process of this room can have sent.
-        PacketWriter.for_room(mesh, time.monotonic_ns() // 1_000_000),
-        AtlasChannel(build_downsampler(texels), room_revision(mesh.content_hash)),
-        [object_bounds(load_source_model(item.model_path).positions) for item in room.objects],
-        WorkLedger(room.change_tolerances),
-    )
+    illumination = prepare_illumination(worker, room, collector, LightJournal(worker.bus))
     worker.wait_for_control(20.0)
     signal = FrameSignal(worker.spec.signal_fd)
     worker.on_control(signal.notify)
