@@ -92,7 +92,12 @@ def _whole_pages(num_bytes: int) -> int:
     return -(-num_bytes // PAGE) * PAGE
 
 
-def _available_memory() -> int:
+def available_memory() -> int:
+    """Bytes of memory that are free or can be freed.
+
+    Raises:
+        FrameRingError: the kernel does not say.
+    """
     with open("/proc/meminfo", encoding="ascii") as file:
         for line in file:
             if line.startswith("MemAvailable:"):
@@ -125,7 +130,7 @@ def create_ring(name: str, shape: RingShape) -> int:
             "expected sides of 1 to 16384 pixels and 2 to 64 slots"
         )
     # memfd has no size limit of its own: asking for too much would wake the out-of-memory killer instead of failing.
-    available = _available_memory()
+    available = available_memory()
     if shape.total_bytes > 0.8 * available:
         raise FrameRingError(
             f"frame ring '{name}' needs {shape.total_bytes / 1e6:.0f} MB, but only {available / 1e6:.0f} MB are free; "

@@ -31,11 +31,16 @@ COMMANDS: dict[str, CommandEntry] = {
     "doctor": CommandEntry(
         "nearfield_server.commands.doctor", "doctor", "Check this machine and say what to do."
     ),
-    "capture": CommandEntry(
-        "nearfield_server.commands.capture", "capture", "Send this machine's cameras to a service on another."
+    "record": CommandEntry(
+        "nearfield_server.commands.record", "record", "Record what the cameras of a room see."
     ),
-    "certificates": CommandEntry(
-        "nearfield_server.commands.certificates", "app", "Say which machines may join a room."
+    "replay": CommandEntry(
+        "nearfield_server.commands.replay",
+        "replay",
+        "Serve a recording again, or check that it gives the same light.",
+    ),
+    "recording": CommandEntry(
+        "nearfield_server.commands.recording", "app", "Look at recordings, verify and export them."
     ),
     "prepare": CommandEntry(
         "nearfield_server.commands.prepare", "prepare", "Prepare a virtual object for lighting."

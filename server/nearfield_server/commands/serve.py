@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import signal
 import sys
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from nearfield_server.errors import ConfigError
+from nearfield_server.bus.worker import die_with_parent
+from nearfield_server.errors import ConfigError, ServiceError
+from nearfield_server.recording.files.manifest import KINDS
+from nearfield_server.recording.folder import check_target
 from nearfield_server.supervisor.launcher import Launcher, free_loopback_port
 from nearfield_server.supervisor.settings import ServiceSettings
 
@@ -53,8 +57,17 @@ def serve(
             min=0.0, help="Give simulated cameras a noisy sensor that saturates at this radiance, W/(sr m^2)."
         ),
     ] = None,
+    record: Annotated[
+        Path | None, typer.Option("--record", help="Record from the start into this new folder.")
+    ] = None,
+    record_format: Annotated[
+        str, typer.Option(help="Of --record: exr (OpenEXR files) or raw (MCAP, for full rate).")
+    ] = "exr",
     bus_port: Annotated[
         int, typer.Option(min=0, max=65535, hidden=True, help="Port of the message bus.")
+    ] = 0,
+    end_with: Annotated[
+        int, typer.Option(min=0, hidden=True, help="Process id of the parent with which the service ends.")
     ] = 0,
 ) -> None:
     """Serve a room: cameras in, light and page out. Ctrl-C ends it."""
@@ -64,6 +77,8 @@ def serve(
         raise ConfigError("--ratio 0: expected a share above 0 and at most 1")
     if full_well == 0.0:
         raise ConfigError("--full-well 0: expected a radiance above 0, W/(sr m^2)")
+    if end_with:
+        die_with_parent(end_with, signal.SIGTERM)
     sys.exit(
         run_service(
             room,
@@ -76,9 +91,25 @@ def serve(
             backend=backend,
             timeline=sequence,
             sensor=None if full_well is None else {"full_well_radiance": full_well},
+            record=None if record is None else recording_options(record, record_format),
             bus_port=bus_port,
         )
     )
+
+
+def recording_options(folder: Path, kind: str) -> dict[str, Any]:
+    """What the service is told of a recording.
+
+    Raises:
+        ConfigError: no such format, or a folder that a recording cannot go into.
+    """
+    if kind not in KINDS:
+        raise ConfigError(f"format {kind!r}: expected one of {', '.join(KINDS)}")
+    try:
+        check_target(folder)
+    except ServiceError as error:
+        raise ConfigError(str(error)) from error
+    return {"folder": str(folder.resolve()), "kind": kind}
 
 
 def run_service(

@@ -26,6 +26,8 @@ class ServiceSettings:
         backend: of the light pipeline: auto, cpu, gl or reference.
         timeline: name of a lighting sequence of the bundle that simulated cameras play, or None.
         sensor: fields of `SensorModel` for simulated cameras, or None for exact pictures.
+        record: `folder` and `kind` of a recording to begin with, or None.
+        replay: how a recording is played: `speed`, `loop`, `lockstep`; None = as fast as it was recorded, over and over.
         gateway: further settings of the gateway.
     """
 
@@ -40,6 +42,8 @@ class ServiceSettings:
     backend: str = "auto"
     timeline: str | None = None
     sensor: dict[str, float] | None = None
+    record: dict[str, Any] | None = None
+    replay: dict[str, Any] | None = None
     gateway: dict[str, Any] = dataclasses.field(default_factory=dict)
 
     def to_json(self) -> str:
