@@ -59,6 +59,7 @@ ACCESS_WRITE_ONLY: Final = 1
 ACCESS_READ_WRITE: Final = 2
 SOCKET_BUFFER_FIXED: Final = 0
 PACKET_SIZE_NEVER: Final = 0  # ArvGvPacketSizeAdjustment: leave the packet size alone
+PACKET_SIZE_ON_FAILURE_ONCE: Final = 1  # change it if test packets do not arrive
 DEVICE_ERROR_TIMEOUT: Final = 5
 
 ControlLostHandler = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p)  # (device, user data)
@@ -249,6 +250,7 @@ class Functions(Protocol):
     def arv_buffer_get_image_pixel_format(self, buffer: Object) -> UInt32: ...  # noqa: D102
     def arv_buffer_get_image_width(self, buffer: Object) -> Int: ...  # noqa: D102
     def arv_buffer_get_image_height(self, buffer: Object) -> Int: ...  # noqa: D102
+    def arv_buffer_get_image_padding(self, buffer: Object, right: Out, below: Out) -> None: ...  # noqa: D102
     def arv_buffer_get_image_x(self, buffer: Object) -> Int: ...  # noqa: D102
     def arv_buffer_get_image_y(self, buffer: Object) -> Int: ...  # noqa: D102
     def arv_buffer_get_frame_id(self, buffer: Object) -> UInt64: ...  # noqa: D102

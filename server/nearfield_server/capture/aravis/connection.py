@@ -1,0 +1,117 @@
+"""The way to one camera: found, judged, opened, and proven to be ours alone to control."""
+
+from __future__ import annotations
+
+import ctypes
+from dataclasses import dataclass
+
+from nearfield_server.capture.aravis.discovery import find_by_serial
+from nearfield_server.capture.aravis.genicam_check import LARGEST_XML_BYTES, check_genicam, fetch_genicam
+from nearfield_server.capture.aravis.gvcp import ControlChannel, FoundCamera
+from nearfield_server.capture.aravis.library import Aravis, AravisError
+from nearfield_server.capture.aravis.release import release_later
+from nearfield_server.errors import CaptureError
+from nearfield_server.scene.device_schema import AravisSourceTable
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Connection:
+    """An opened device.
+
+    Attributes:
+        device: the ArvDevice; one reference is owned by whoever holds the connection.
+        camera: what it says of itself.
+        names: of all nodes of its description.
+        ticks_per_s: of its clock; 0 if it has none.
+    """
+
+    device: int
+    camera: FoundCamera
+    names: frozenset[str]
+    ticks_per_s: int
+
+
+def connect(aravis: Aravis, table: AravisSourceTable, where: str) -> Connection:
+    """Open a camera by its address, or by its serial.
+
+    Args:
+        aravis: the library.
+        table: of the room file.
+        where: names the camera in messages.
+
+    Raises:
+        CaptureError: it does not answer, its description is refused, or another program controls it.
+    """
+    try:
+        if table.address is not None:
+            return _connect_gige(aravis, str(table.address), where)
+        camera = find_by_serial(str(table.serial), table.interface)
+        if camera.kind == "gige":
+            return _connect_gige(aravis, camera.address, where)
+        return _connect_usb(aravis, camera)
+    except CaptureError as error:
+        raise CaptureError(f"{where}: {error}") from error
+
+
+def _connect_gige(aravis: Aravis, address: str, where: str) -> Connection:
+    with ControlChannel(address) as channel:
+        camera = channel.describe()
+        xml = fetch_genicam(channel)
+        names = check_genicam(xml).names
+        host_address = channel.host_address
+    host = aravis.c.g_inet_address_new_from_string(host_address.encode())
+    remote = aravis.c.g_inet_address_new_from_string(address.encode())
+    assert host is not None
+    assert remote is not None
+    try:
+        device = aravis.c.arv_gv_device_new(host, remote)
+    except AravisError as error:
+        raise CaptureError(f"the camera at {address} cannot be opened: {error.reason}") from error
+    finally:
+        aravis.unref(host)
+        aravis.unref(remote)
+    if device is None:
+        raise CaptureError(f"the camera at {address} cannot be opened: libaravis does not say why")
+    if not aravis.c.arv_gv_device_is_controller(device):
+        release_later(aravis, [device])
+        raise CaptureError(
+            f"another program controls the camera at {address}; end it (the camera gives up a program that died "
+            "some seconds after it last heard from it)"
+        )
+    if _description(aravis, device) != xml:
+        release_later(aravis, [device])
+        raise CaptureError(
+            f"the camera at {address} described itself in two different ways within a moment; refused"
+        )
+    try:
+        ticks_per_s = aravis.c.arv_gv_device_get_timestamp_tick_frequency(device)
+    except AravisError:
+        ticks_per_s = 0
+    return Connection(device=device, camera=camera, names=names, ticks_per_s=ticks_per_s)
+
+
+def _connect_usb(aravis: Aravis, camera: FoundCamera) -> Connection:
+    try:
+        device = aravis.c.arv_uv_device_new(
+            camera.vendor.encode(), camera.model.encode(), camera.serial.encode()
+        )
+    except AravisError as error:
+        raise CaptureError(
+            f"USB camera {camera.serial} cannot be opened: {error.reason}; another program may use it"
+        ) from error
+    if device is None:
+        raise CaptureError(f"USB camera {camera.serial} cannot be opened: libaravis does not say why")
+    try:
+        names = check_genicam(_description(aravis, device)).names
+    except CaptureError:
+        release_later(aravis, [device])
+        raise
+    return Connection(device=device, camera=camera, names=names, ticks_per_s=1_000_000_000)
+
+
+def _description(aravis: Aravis, device: int) -> bytes:
+    size = ctypes.c_size_t(0)
+    address = aravis.c.arv_device_get_genicam_xml(device, ctypes.byref(size))
+    if address is None or size.value > LARGEST_XML_BYTES:
+        raise CaptureError(f"expected a description of at most {LARGEST_XML_BYTES} bytes, found {size.value}")
+    return ctypes.string_at(address, size.value)
