@@ -65,7 +65,8 @@ def apply_settings(
         features: of the device.
         exposure: of the device.
         table: of the room file.
-        width: pixels, as calibrated. height: pixels.
+        width: pixels, as calibrated.
+        height: pixels, as calibrated.
         frame_rate: pictures per second.
 
     Raises:
