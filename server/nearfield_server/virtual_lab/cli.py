@@ -1,4 +1,4 @@
-"""`nearfield lab`: make a path-traced room."""
+"""`nearfield lab`: make a path-traced room, and show it to simulated cameras."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from nearfield_server.errors import ConfigError, NearfieldError
+from nearfield_server.virtual_camera.cli import camera
 
 app = typer.Typer(
     no_args_is_help=True, help="Make path-traced rooms with known truth (optional extra `lab`)."
@@ -30,6 +31,9 @@ class QualityName(StrEnum):
 
     preview = "preview"
     shipped = "shipped"
+
+
+app.command("camera")(camera)
 
 
 @app.callback()

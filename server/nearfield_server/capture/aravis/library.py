@@ -123,6 +123,8 @@ class Functions(Protocol):
     def g_quark_to_string(self, quark: UInt32) -> MaybeText: ...  # noqa: D102
     def g_object_ref(self, instance: Object) -> Object: ...  # noqa: D102
     def g_object_unref(self, instance: Object) -> None: ...  # noqa: D102
+    def g_object_get_data(self, instance: Object, key: Text) -> Address: ...  # noqa: D102
+    def g_object_set_data(self, instance: Object, key: Text, value: Address) -> None: ...  # noqa: D102
     def g_object_set_property(self, instance: Object, name: Text, value: Out) -> None: ...  # noqa: D102
     def g_value_init(self, value: Out, gtype: Size) -> Address: ...  # noqa: D102
     def g_value_unset(self, value: Out) -> None: ...  # noqa: D102
