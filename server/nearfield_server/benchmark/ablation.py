@@ -24,8 +24,8 @@ from nearfield_server.pipeline.runner import LightPipeline
 from nearfield_server.records import LightSettings
 
 NUM_VALS: Final = 16
-PAPER_RATIO: Final = 0.75
-"""Share of direct light at the lower end of what Rohmer et al. 2014 use."""
+LEAST_PAPER_RATIO: Final = 0.75
+"""Lower end of the share of direct light that Rohmer et al. 2014, section 4.2, use; the baselines take the middle of it."""
 WHOLE: Final = ClientForm(transfer="full", indirect_exchange=True, fixture_rays=True)
 _TIMED_UPDATES: Final = 5
 
@@ -83,7 +83,7 @@ def _no_ground_shadow(item: PlacedObject) -> PlacedObject:
 NOTHING: Final = Ingredient(name="nothing left out")
 INGREDIENTS: Final = (
     NOTHING,
-    Ingredient(name="split in a gap of the histogram", split_ratio=PAPER_RATIO),
+    Ingredient(name="split in a gap of the histogram", split_ratio=LEAST_PAPER_RATIO),
     Ingredient(name="lights as discs", of_light=_points_instead_of_discs),
     Ingredient(name="indirect light", of_light=_no_indirect),
     Ingredient(name="lamps that no camera sees", hidden=False),

@@ -8,11 +8,9 @@ from __future__ import annotations
 
 from typing import Any, Final
 
-import numpy as np
 from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
-from numpy.typing import NDArray
 
 HALF_MAX: Final = 65504.0
 
@@ -20,11 +18,6 @@ _F32: Final = ir.FloatType()
 _HALF: Final = ir.HalfType()
 _F32X4: Final = ir.VectorType(_F32, 4)
 _I32: Final = ir.IntType(32)
-
-
-def as_uint16(pixels: NDArray[np.float16]) -> NDArray[np.uint16]:
-    """The same memory as uint16, for kernels."""
-    return pixels.view(np.uint16)
 
 
 @intrinsic  # type: ignore[untyped-decorator]

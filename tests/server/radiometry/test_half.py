@@ -1,7 +1,7 @@
 import numpy as np
 from numba import njit
 
-from nearfield_server.radiometry.half import as_uint16, float_bits, float_to_half, half_to_float
+from nearfield_server.radiometry.half import float_bits, float_to_half, half_to_float
 
 
 @njit
@@ -44,8 +44,3 @@ def test_bits_sort_like_non_negative_values() -> None:
     values = np.sort(np.random.default_rng(2).exponential(size=1000).astype(np.float32))
     np.testing.assert_array_equal(_bits(values), values.view(np.uint32))
     assert (np.diff(_bits(values).astype(np.int64)) >= 0).all()
-
-
-def test_view_shares_memory() -> None:
-    pixels = np.ones((2, 2, 4), dtype=np.float16)
-    assert np.shares_memory(as_uint16(pixels), pixels)
