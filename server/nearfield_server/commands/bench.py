@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import signal
+import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -42,6 +44,8 @@ def bench(
 ) -> None:
     """Measure server, client, every method, growth and latency; write bench.json after each part."""
     console = Console(stderr=True)
+    # A request to end, like Ctrl-C, passes every `finally`: no service or browser that was started is left behind.
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
     names = _chosen_parts(only)
     setup = BenchSetup(
         quick=quick or tiny,
