@@ -32,6 +32,10 @@ class CaptureError(NearfieldError):
     """A camera or frame source fails."""
 
 
+class AwayError(CaptureError):
+    """Who should deliver frames is away for now; asking again costs nothing, so it is done at least once a second."""
+
+
 class FrameRingError(CaptureError):
     """Shared memory does not hold what its header promises."""
 

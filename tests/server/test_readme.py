@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import re
+import tomllib
 from pathlib import Path
 
 from pydantic import BaseModel
 from pydantic_core import PydanticUndefined
 
 from nearfield_server.scene import room_schema
+from nearfield_server.scene.node_config import NodeCameraTable, NodeTable
 
 README = Path(__file__).parents[2] / "server" / "README.md"
 TABLES: dict[str, type[BaseModel]] = {
@@ -18,7 +20,18 @@ TABLES: dict[str, type[BaseModel]] = {
     "cameras.": room_schema.CameraTable,
     "objects.": room_schema.ObjectTable,
     "views.": room_schema.ViewTable,
+    "remote.": room_schema.RemoteTable,
 }
+
+
+def test_the_example_of_a_node_file_is_valid_and_names_every_key() -> None:
+    examples = re.findall(
+        r"^```toml\n(.*?)^```", README.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL
+    )
+    (example,) = [text for text in examples if "\nnode = " in text]
+    table = NodeTable.model_validate(tomllib.loads(example))
+    assert table.model_fields_set == NodeTable.model_fields.keys() - {"lights"}
+    assert table.cameras[0].model_fields_set == NodeCameraTable.model_fields.keys()
 
 
 def documented_keys() -> dict[str, str]:

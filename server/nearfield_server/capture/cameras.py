@@ -13,10 +13,12 @@ from nearfield_calibration.models import FisheyeIntrinsics
 from nearfield_server.capture.exr_sequence import ExrSequence, ExrSequenceSource
 from nearfield_server.capture.lab_source import LabCamera, LabSource, Timeline
 from nearfield_server.capture.recording_source import RecordedCamera, RecordingSource
+from nearfield_server.capture.remote.source import RemoteCamera, RemoteSource
 from nearfield_server.capture.sensor_model import SensorModel
 from nearfield_server.capture.source import Source
 from nearfield_server.errors import ConfigError
 from nearfield_server.scene.bundle import SCENE_FILE, load_bundle
+from nearfield_server.scene.device_schema import RemoteSourceTable
 from nearfield_server.scene.room_config import (
     ExrSequenceSourceConfig,
     LabSourceConfig,
@@ -57,8 +59,8 @@ def make_source(room: RoomConfig, camera_index: int, options: dict[str, Any]) ->
     Args:
         room: the room file.
         camera_index: position of the camera in it.
-        options: `timeline` (name of a lighting sequence) and `sensor` (fields of `SensorModel`), for simulated cameras; `replay` (`speed`,
-            `loop`, and `origin_ns`, see `RecordedCamera`), for recorded ones.
+        options: `timeline` (name of a lighting sequence) and `sensor` (fields of `SensorModel`), for simulated cameras; `gate_port` for
+            cameras of other machines; `replay` (`speed`, `loop`, and `origin_ns`, see `RecordedCamera`), for recorded ones.
 
     Raises:
         ConfigError: an option does not fit the room.
@@ -74,6 +76,8 @@ def make_source(room: RoomConfig, camera_index: int, options: dict[str, Any]) ->
         lights=room.lights,
         timeline=load_timeline(room, options["timeline"]) if options.get("timeline") else None,
         sensor=options.get("sensor"),
+        room_name=room.name,
+        gate_port=int(options.get("gate_port", 0)),
         replay=options.get("replay") or {},
     )
     return build_source(plan)
@@ -92,6 +96,8 @@ class SourcePlan:
         lights: switchable lights of a simulated room.
         timeline: lighting sequence that simulated cameras play.
         sensor: fields of `SensorModel` for simulated cameras; None = exact pictures.
+        room_name: name of the room, for cameras of other machines.
+        gate_port: port on loopback where they come in.
         replay: fields of `RecordedCamera` for recorded cameras.
     """
 
@@ -104,6 +110,8 @@ class SourcePlan:
     lights: tuple[SwitchableLight, ...] = ()
     timeline: Timeline | None = None
     sensor: dict[str, float] | None = None
+    room_name: str = ""
+    gate_port: int = 0
     replay: dict[str, Any] = field(default_factory=dict)
 
 
@@ -122,6 +130,19 @@ def build_source(plan: SourcePlan) -> Source:
                 frame_rate=plan.frame_rate,
                 height=plan.height,
                 width=plan.width,
+            )
+        )
+    if isinstance(source, RemoteSourceTable):
+        return RemoteSource(
+            RemoteCamera(
+                camera_id=plan.camera_id,
+                room=plan.room_name,
+                node=source.node,
+                camera=source.camera,
+                height=plan.height,
+                width=plan.width,
+                frame_rate=plan.frame_rate,
+                gate_port=plan.gate_port,
             )
         )
     if isinstance(source, RecordingSourceConfig):

@@ -23,10 +23,11 @@ from nearfield_server.capture.ingest import ingest_frame
 from nearfield_server.capture.preview import PreviewPainter
 from nearfield_server.capture.ring_memory import COUNTER_NAMES, RingShape
 from nearfield_server.capture.source import RawFrame, Source
-from nearfield_server.errors import AssetError, CaptureError
+from nearfield_server.errors import AssetError, AwayError, CaptureError
 from nearfield_server.scene.room_config import load_room
 
 _RATE_WINDOW_S = 2.0
+_AWAY_RETRY_S = 0.7
 
 
 @dataclass(slots=True)
@@ -99,7 +100,7 @@ class FramePump:
             self.statistics.roll(now_s)
             return False
         if frame.content_revision == self._revision:
-            self.ring.confirm(now_ns)
+            self.ring.confirm(frame.timestamp_ns)
             self.statistics.count(now_s, {}, 0)
             return True
         counters, tiles_changed = self._write(frame)
@@ -135,7 +136,7 @@ def capture_loop(
     is_open = False
     retry_at, healthy_since = 0.0, 0.0
     period_s = 1.0 / frame_rate
-    fault = ""
+    fault, logged = "", ""
     while not worker.stop.is_set():
         now_s = time.monotonic()
         try:
@@ -158,8 +159,12 @@ def capture_loop(
             fault, is_open = str(error), False
             pump.source.close()
             delay_s = backoff.next_delay()
+            if isinstance(error, AwayError):
+                delay_s = min(delay_s, _AWAY_RETRY_S)
             retry_at = time.monotonic() + delay_s
-            worker.log.warning("camera failed", reason=fault, retry_in_s=round(delay_s, 1))
+            if not isinstance(error, AwayError) or fault != logged:
+                worker.log.warning("camera failed", reason=fault, retry_in_s=round(delay_s, 1))
+            logged = fault
         worker.beat(**_status(pump, describe, is_open, fault))
         if is_open:
             pump.source.wait_for_frame(worker.stop, period_s)

@@ -31,6 +31,12 @@ COMMANDS: dict[str, CommandEntry] = {
     "doctor": CommandEntry(
         "nearfield_server.commands.doctor", "doctor", "Check this machine and say what to do."
     ),
+    "capture": CommandEntry(
+        "nearfield_server.commands.capture", "capture", "Send this machine's cameras to a service on another."
+    ),
+    "certificates": CommandEntry(
+        "nearfield_server.commands.certificates", "app", "Say which machines may join a room."
+    ),
     "record": CommandEntry(
         "nearfield_server.commands.record", "record", "Record what the cameras of a room see."
     ),

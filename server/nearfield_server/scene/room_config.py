@@ -14,7 +14,13 @@ from nearfield_server.errors import AssetError, ConfigError
 from nearfield_server.records import CameraModel, LightSettings, TabletView
 from nearfield_server.scene.bundle import SCENE_FILE, Bundle, load_bundle
 from nearfield_server.scene.device_schema import AravisSourceTable, RemoteSourceTable, V4l2SourceTable
-from nearfield_server.scene.room_schema import ExrSequenceTable, RecordingTable, RoomTable, read_room_table
+from nearfield_server.scene.room_schema import (
+    ExrSequenceTable,
+    LabSourceTable,
+    RecordingTable,
+    RoomTable,
+    read_room_table,
+)
 
 ROOM_FILE = "room.toml"
 DEFAULT_ATLAS_SIZE = 1024
@@ -52,6 +58,14 @@ SourceConfig = (
     | V4l2SourceTable
     | RemoteSourceTable
 )
+SourceTable = (
+    LabSourceTable
+    | ExrSequenceTable
+    | RecordingTable
+    | AravisSourceTable
+    | V4l2SourceTable
+    | RemoteSourceTable
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -82,6 +96,14 @@ class SwitchableLight:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class RemoteConfig:
+    """The door for camera nodes: "host:port" that they connect to, and the folder of the service's certificate."""
+
+    address: str
+    certificates: Path
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class RoomConfig:
     """Everything a room file says; paths are absolute or relative to the working directory and exist.
 
@@ -95,6 +117,7 @@ class RoomConfig:
         light: settings of the light extraction.
         atlas_size: largest side of the atlas, texels.
         frame_rate: frames per second asked of the sources.
+        remote: where camera nodes join; None = nowhere.
     """
 
     name: str
@@ -109,6 +132,12 @@ class RoomConfig:
     light: LightSettings
     atlas_size: int
     frame_rate: float
+    remote: RemoteConfig | None = None
+
+    @property
+    def remote_nodes(self) -> tuple[str, ...]:
+        """Names of the camera nodes that the room knows, sorted."""
+        return tuple(sorted({s.node for s in self.sources if isinstance(s, RemoteSourceTable)}))
 
 
 def load_room(path: str | Path) -> RoomConfig:
@@ -170,9 +199,9 @@ def room_from_bundle(bundle: Bundle) -> RoomConfig:
 def _room_from_table(table: RoomTable, file: Path) -> RoomConfig:
     folder = file.parent
     for key in ("lights", "objects"):
-        _check_unique(file, f"{key}.name", [item.name for item in getattr(table, key)])
+        check_unique(file, f"{key}.name", [item.name for item in getattr(table, key)])
     for key in ("cameras", "views"):
-        _check_unique(file, f"{key}.id", [item.id for item in getattr(table, key)])
+        check_unique(file, f"{key}.id", [item.id for item in getattr(table, key)])
     return RoomConfig(
         name=table.name,
         folder=folder,
@@ -201,12 +230,47 @@ def _room_from_table(table: RoomTable, file: Path) -> RoomConfig:
         light=LightSettings(**table.light.model_dump()),
         atlas_size=table.atlas_size,
         frame_rate=table.frame_rate,
+        remote=_remote(table, file),
     )
+
+
+def _remote(table: RoomTable, file: Path) -> RemoteConfig | None:
+    sources = [camera.source for camera in table.cameras]
+    remote = [(s.node, s.camera) for s in sources if isinstance(s, RemoteSourceTable)]
+    check_unique(file, "cameras.source (node, camera)", [f"{node}, {camera}" for node, camera in remote])
+    if table.remote is None:
+        if remote:
+            raise ConfigError(
+                f"{file}:remote: expected a table with listen and certificates, because cameras have sources of kind 'remote'; found none."
+            )
+        return None
+    folder = file.parent / table.remote.certificates
+    if not folder.is_dir():
+        raise AssetError(
+            f"{file}:remote.certificates: expected an existing folder, found {table.remote.certificates!r}. "
+            "Make it with `nearfield certificates room`."
+        )
+    return RemoteConfig(address=table.remote.listen, certificates=folder)
 
 
 def _source(table: RoomTable, index: int, file: Path) -> SourceConfig:
     key = f"cameras[{index}].source"
-    source = table.cameras[index].source
+    return source_config(table.cameras[index].source, len(table.lights), file, key)
+
+
+def source_config(source: SourceTable, num_lights: int, file: Path, key: str) -> SourceConfig:
+    """Resolve the files of a `source` table.
+
+    Args:
+        source: the table.
+        num_lights: entries of `lights`.
+        file: that the table is in; paths are relative to its folder.
+        key: of the table, for messages.
+
+    Raises:
+        ConfigError: not one basis picture per light.
+        AssetError: a file or folder is missing.
+    """
     if isinstance(source, ExrSequenceTable | RecordingTable):
         folder = file.parent / source.folder
         if not folder.is_dir():
@@ -216,14 +280,14 @@ def _source(table: RoomTable, index: int, file: Path) -> SourceConfig:
         return ExrSequenceSourceConfig(folder=folder)
     if isinstance(source, AravisSourceTable | V4l2SourceTable | RemoteSourceTable):
         return source
-    _check_one_per_light(table, file, f"{key}.files", source.files)
+    _check_one_per_light(num_lights, file, f"{key}.files", source.files)
     return LabSourceConfig(files=tuple(_existing(file, f"{key}.files", name) for name in source.files))
 
 
 def _view(table: RoomTable, index: int, file: Path) -> TabletView:
     view = table.views[index]
     if view.background:
-        _check_one_per_light(table, file, f"views[{index}].background", view.background)
+        _check_one_per_light(len(table.lights), file, f"views[{index}].background", view.background)
     for name in view.background:
         _existing(file, f"views[{index}].background", name)
     return TabletView(
@@ -236,14 +300,15 @@ def _view(table: RoomTable, index: int, file: Path) -> TabletView:
     )
 
 
-def _check_one_per_light(table: RoomTable, file: Path, key: str, names: tuple[str, ...]) -> None:
-    if len(names) != len(table.lights):
+def _check_one_per_light(num_lights: int, file: Path, key: str, names: tuple[str, ...]) -> None:
+    if len(names) != num_lights:
         raise ConfigError(
-            f"{file}:{key}: expected {len(table.lights)} files (one per entry of lights), found {len(names)}."
+            f"{file}:{key}: expected {num_lights} files (one per entry of lights), found {len(names)}."
         )
 
 
-def _check_unique(file: Path, key: str, names: list[str]) -> None:
+def check_unique(file: Path, key: str, names: list[str]) -> None:
+    """Raise ConfigError if a name is there twice."""
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
         raise ConfigError(f"{file}:{key}: expected different values, found {twice} more than once.")

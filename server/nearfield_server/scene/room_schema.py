@@ -35,7 +35,11 @@
     # or     { kind = "recording", folder = "..." }: this camera in a folder of `nearfield record`
     # or     { kind = "lab", files = ["cam0_lamp.exr", ...] }, one per light
     # or     { kind = "aravis", ... }, { kind = "v4l2", ... }: real cameras, see device_schema
-    # or     { kind = "remote", node = "window", camera = "cam3" }: a camera of another machine
+    # or     { kind = "remote", node = "window", camera = "cam3" }: a camera of another machine, see node_schema
+
+    [remote]                                # optional: the door for camera nodes, needed for sources of kind "remote"
+    listen = "192.168.10.5:7448"            # address and port that nodes connect to
+    certificates = "certificates"           # folder with ca.pem, service.pem, service.key
 
     [[objects]]
     name = "bunny"
@@ -56,8 +60,9 @@ from __future__ import annotations
 
 import difflib
 import tomllib
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
@@ -76,6 +81,10 @@ Finite = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Unit = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
+# Host name or IPv4 address, or IPv6 address in brackets, and a port.
+Address = Annotated[
+    str, Field(pattern=r"^([A-Za-z0-9]([A-Za-z0-9.-]{0,252})|\[[0-9A-Fa-f:.]{2,45}\]):[1-9][0-9]{0,4}$")
+]
 Side = Annotated[int, Field(ge=1, le=16384, strict=True)]
 
 
@@ -205,6 +214,13 @@ class ViewTable(_Strict):
     background: tuple[str, ...] = ()
 
 
+class RemoteTable(_Strict):
+    """Table `remote`: where camera nodes join."""
+
+    listen: Address
+    certificates: Annotated[str, Field(min_length=1)]
+
+
 class RoomTable(_Strict):
     """The whole file."""
 
@@ -218,6 +234,7 @@ class RoomTable(_Strict):
     cameras: Annotated[tuple[CameraTable, ...], Field(min_length=1, max_length=8)]
     objects: Annotated[tuple[ObjectTable, ...], Field(max_length=32)] = ()
     views: tuple[ViewTable, ...] = ()
+    remote: RemoteTable | None = None
 
 
 # Names that pydantic puts into the path of an error to say which of several tables it tried.
@@ -229,11 +246,34 @@ _SOURCES: dict[str, type[BaseModel]] = {
     "v4l2": V4l2SourceTable,
     "remote": RemoteSourceTable,
 }
+_Table = TypeVar("_Table", bound=BaseModel)
 _TAGS = {*_SOURCES, "linear", "table", "knee", "off", "bracket"}
 
 
 def read_room_table(path: Path) -> RoomTable:
     """Parse and check a room.toml.
+
+    Raises:
+        ConfigError: missing or not TOML, or wrong keys; lists every wrong key, with a suggestion for unknown ones.
+    """
+    models: dict[str, type[BaseModel]] = {
+        "light": LightTable,
+        "lights": SwitchableLightTable,
+        "cameras": CameraTable,
+        "objects": ObjectTable,
+        "views": ViewTable,
+        "remote": RemoteTable,
+    }
+    return read_table(path, RoomTable, models)
+
+
+def read_table(path: Path, model: type[_Table], tables: Mapping[str, type[BaseModel]]) -> _Table:
+    """Parse and check a TOML file.
+
+    Args:
+        path: the file.
+        model: of the whole file.
+        tables: of the tables in it, by name; for suggestions.
 
     Raises:
         ConfigError: missing or not TOML, or wrong keys; lists every wrong key, with a suggestion for unknown ones.
@@ -247,20 +287,20 @@ def read_room_table(path: Path) -> RoomTable:
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise ConfigError(f"{path}: not valid TOML ({error}).") from error
     try:
-        return RoomTable.model_validate(values)
+        return model.model_validate(values)
     except ValidationError as error:
-        lines = [f"{path}:{_describe(item)}" for item in error.errors()]
+        lines = [f"{path}:{_describe(item, {'': model, **tables})}" for item in error.errors()]
         raise ConfigError("\n".join(lines)) from error
 
 
-def _describe(item: Any) -> str:
+def _describe(item: Any, tables: Mapping[str, type[BaseModel]]) -> str:
     """One line: key, what was expected and found."""
     location = [part for part in item["loc"] if part not in _TAGS]
     key = ""
     for part in location:
         key += f"[{part}]" if isinstance(part, int) else f"{'.' if key else ''}{part}"
     if item["type"] == "extra_forbidden":
-        known = _keys_at([part for part in location[:-1] if isinstance(part, str)])
+        known = _keys_at([part for part in location[:-1] if isinstance(part, str)], tables)
         near = difflib.get_close_matches(str(location[-1]), known, n=1)
         hint = f" Did you mean {near[0]!r}?" if near else f" Known keys: {', '.join(known)}."
         return f"{key}: unknown key.{hint}"
@@ -277,15 +317,8 @@ def _describe(item: Any) -> str:
     return f"{key}: {message[:1].lower()}{message[1:]}{shown}."
 
 
-def _keys_at(tables: list[str]) -> list[str]:
+def _keys_at(names: list[str], tables: Mapping[str, type[BaseModel]]) -> list[str]:
     """Keys known inside the table reached by the given names."""
-    if tables and tables[-1] == "source":
+    if names and names[-1] == "source":
         return sorted({key for model in _SOURCES.values() for key in model.model_fields})
-    models: dict[str, type[BaseModel]] = {
-        "light": LightTable,
-        "lights": SwitchableLightTable,
-        "cameras": CameraTable,
-        "objects": ObjectTable,
-        "views": ViewTable,
-    }
-    return list((models[tables[-1]] if tables else RoomTable).model_fields)
+    return list(tables[names[-1] if names else ""].model_fields)

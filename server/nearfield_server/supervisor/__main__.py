@@ -30,6 +30,18 @@ def _check_timeline(room: RoomConfig, name: str | None) -> None:
         load_timeline(room, name)
 
 
+def _check_remote(room: RoomConfig) -> None:
+    """Refuse certificates that no node would accept, before anything is started.
+
+    Raises:
+        ConfigError: says which file and why.
+    """
+    if room.remote_nodes:
+        from nearfield_server.capture.remote.gate import check_service_certificate
+
+        check_service_certificate(room)
+
+
 def main() -> int:
     """Run the service until a signal ends it; deliberate errors become one line on standard error."""
     faulthandler.enable()
@@ -40,6 +52,7 @@ def main() -> int:
         die_with_parent(settings.launcher_pid, signal.SIGTERM)
         room = load_room(settings.room_path)
         _check_timeline(room, settings.timeline)
+        _check_remote(room)
         supervisor = Supervisor(settings, room)
     except NearfieldError as error:
         sys.stderr.write(f"nearfield: {error}\n")

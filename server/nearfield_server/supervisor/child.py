@@ -94,6 +94,15 @@ class Child:
         self._process, self._start_at_s = None, now_s + delay_s
         _log.warning("process died", child=self.name, reason=fault, plan=plan)
 
+    def hear(self, status: dict[str, Any], now_s: float) -> bool:
+        """Take a status message from the bus; false if it is not of this process."""
+        # Messages of a process that died may still be under way.
+        if self.name != status.get("process") or self.pid != status.get("pid"):
+            return False
+        self.status = status
+        self.health.status(now_s, str(status.get("phase")), float(status.get("beat_age_s", 0.0)))
+        return True
+
     def has_ended(self) -> bool:
         """Whether there is no process any more."""
         return self._process is None or self._process.poll() is not None

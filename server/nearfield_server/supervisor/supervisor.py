@@ -26,6 +26,7 @@ from nearfield_server.supervisor.child import Child
 from nearfield_server.supervisor.control import apply_request, initial_state, want_atlas
 from nearfield_server.supervisor.control_socket import ControlSocket
 from nearfield_server.supervisor.errand import Errands
+from nearfield_server.supervisor.launcher import free_loopback_port
 from nearfield_server.supervisor.notify import notify_systemd
 from nearfield_server.supervisor.recorder_desk import RecorderDesk
 from nearfield_server.supervisor.settings import ServiceSettings
@@ -88,6 +89,7 @@ class Supervisor:
                 shape = RingShape(camera.intrinsics.height, camera.intrinsics.width)
                 self._ring_fds.append(create_ring(f"cam{len(self._ring_fds)}", shape))
                 undo.callback(os.close, self._ring_fds[-1])
+            self._gate_port = free_loopback_port() if room.remote_nodes else 0
             self.bus = undo.enter_context(Bus(room.name, listen_port=settings.bus_port))
             undo.enter_context(ControlSocket(self._command))
             self._resources = undo.pop_all()
@@ -162,12 +164,16 @@ class Supervisor:
         # In lockstep the player takes the frames from the recording itself, one update after the other.
         is_lockstep = bool(replay.get("lockstep"))
         children = []
+        if self._gate_port:
+            gate = {"gate_port": self._gate_port}
+            children.append(Child(self._spec("remote", gate), "nearfield_server.capture.remote.gate"))
         for index in range(0 if is_lockstep else len(self.room.cameras)):
             options = {
                 "camera_index": index,
                 "frame_rate": settings.frame_rate,
                 "timeline": settings.timeline,
                 "sensor": settings.sensor,
+                "gate_port": self._gate_port,
                 "replay": {name: replay[name] for name in ("speed", "loop") if name in replay},
             }
             # A capture process inherits its own ring alone; the other descriptors are only numbers to it.
@@ -279,14 +285,9 @@ class Supervisor:
         status = parse_object(payload, STATUS)
         with self._lock:
             for child in self._all_children():
-                # Messages of a process that died may still be under way.
-                if child.name == status.get("process") and child.pid == status.get("pid"):
-                    child.status = status
-                    child.health.status(
-                        time.monotonic(), str(status.get("phase")), float(status.get("beat_age_s", 0.0))
-                    )
-                    if child.name == "gateway" and "atlas_wanted" in status:
-                        self._state = want_atlas(self._state, bool(status["atlas_wanted"]))
+                is_heard = child.hear(status, time.monotonic())
+                if is_heard and child.name == "gateway" and "atlas_wanted" in status:
+                    self._state = want_atlas(self._state, bool(status["atlas_wanted"]))
 
     def _take_token(self, process: str, is_alive: bool) -> None:
         with self._lock:
