@@ -17,6 +17,8 @@
     path = "/dev/v4l/by-id/usb-..."         # stable name, survives replugging
     pixel_format = "SRGGB12"                # V4L2 four-character code or its usual name
     controls = { focus_auto = 0, ... }      # any V4L2 control by name, likewise
+    exposure_unit_s = 1e-4                  # seconds of one unit of the exposure control, where V4L2 does not define it
+    gain_steps = [[0, 0.0], [100, 24.0]]    # what the gain control means: its values and decibels, linear between
 
 Both kinds, everything optional:
 
@@ -190,6 +192,18 @@ class V4l2SourceTable(SensorTable):
     path: Annotated[str, Field(pattern=r"^/dev/")]
     pixel_format: _Text = "YUYV"
     controls: dict[_Text, int | bool] = Field(default_factory=dict)
+    exposure_unit_s: Positive | None = None
+    gain_steps: Annotated[tuple[tuple[int, Finite], ...], Field(max_length=256)] = ()
+
+    @model_validator(mode="after")
+    def _ascending_gain(self) -> Self:
+        if len(self.gain_steps) == 1:
+            raise ValueError(
+                "gain_steps: expected two or more pairs of control value and decibels, found one"
+            )
+        if self.gain_steps and np.any(np.diff(np.array(self.gain_steps), axis=0) <= 0):
+            raise ValueError("gain_steps: expected ascending control values and decibels")
+        return self
 
 
 class RemoteSourceTable(_Strict):
