@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import pytest
+from pydantic import ValidationError
 from tests.server.capture.v4l2.scripted_kernel import ScriptedCamera, ScriptedControl
 
 from nearfield_server.capture.v4l2.controls import ControlSet
@@ -11,6 +12,7 @@ from nearfield_server.capture.v4l2.exposure_control import (
     read_line_timing,
 )
 from nearfield_server.capture.v4l2.kernel_api import ControlId, ControlType
+from nearfield_server.scene.device_schema import V4l2SourceTable
 
 
 def controls_of(*controls: ScriptedControl) -> ControlSet:
@@ -97,3 +99,9 @@ def test_the_analogue_gain_goes_before_the_mixed_one() -> None:
     assert scale is not None
     assert scale.control.name == "analogue_gain"
     assert find_gain_scale(controls, ()) is None
+
+
+@pytest.mark.parametrize("steps", [[[0, 0.0]], [[0, 0.0], [0, 6.0]], [[0, 6.0], [10, 3.0]]])
+def test_gain_steps_ascend(steps: list[list[float]]) -> None:
+    with pytest.raises(ValidationError, match="gain_steps"):
+        V4l2SourceTable(kind="v4l2", path="/dev/video0", gain_steps=steps)  # type: ignore[arg-type]
