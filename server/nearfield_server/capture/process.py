@@ -27,7 +27,10 @@ from nearfield_server.errors import AssetError, AwayError, CaptureError
 from nearfield_server.scene.room_config import load_room
 
 _RATE_WINDOW_S = 2.0
+_FIRST_RETRY_S = 0.3
 _AWAY_RETRY_S = 0.7
+_HEALTHY_AFTER_S = 10.0
+_LATENCY_WEIGHT = 0.1
 
 
 @dataclass(slots=True)
@@ -40,6 +43,9 @@ class CaptureStatistics:
     frames_unchanged: int = 0
     tiles: int = 0
     tiles_changed: int = 0
+    failures: int = 0
+    latency_s: float | None = None
+    """From the middle of the exposure to the ring, averaged over about ten frames."""
     _window_start_s: float = 0.0
     _window_frames: int = 0
 
@@ -51,6 +57,11 @@ class CaptureStatistics:
         self.counters.update({name: value for name, value in counters.items() if value})
         self._window_frames += 1
         self.roll(now_s)
+
+    def note_latency(self, latency_s: float) -> None:
+        """Add the latency of one new picture."""
+        before = latency_s if self.latency_s is None else self.latency_s
+        self.latency_s = before + _LATENCY_WEIGHT * (latency_s - before)
 
     def roll(self, now_s: float) -> None:
         """Renew the frame rate every two seconds, also when no frames come."""
@@ -105,6 +116,7 @@ class FramePump:
             return True
         counters, tiles_changed = self._write(frame)
         self._revision = frame.content_revision
+        self.statistics.note_latency((time.monotonic_ns() - frame.timestamp_ns) * 1e-9)
         if tiles_changed:
             self.signal.notify()
         self.statistics.count(now_s, counters, tiles_changed)
@@ -132,32 +144,33 @@ def capture_loop(
     worker: Worker, pump: FramePump, frame_rate: float, describe: Callable[[], dict[str, Any]]
 ) -> None:
     """Run one camera until the worker is told to stop; a failing source is reopened with back-off for ever."""
-    backoff = Backoff()
+    backoff = Backoff(initial_s=_FIRST_RETRY_S)
     is_open = False
     retry_at, healthy_since = 0.0, 0.0
     period_s = 1.0 / frame_rate
     fault, logged = "", ""
     while not worker.stop.is_set():
-        now_s = time.monotonic()
         try:
-            if not is_open and now_s >= retry_at:
-                worker.beat(
-                    "starting"
-                )  # reading basis pictures or finding a device may take longer than a frame
+            if not is_open and time.monotonic() >= retry_at:
+                # Reading basis pictures or finding a device may take longer than a frame.
+                worker.beat("starting")
                 pump.source.open()
                 pump.reopened()
-                is_open, healthy_since = True, now_s
+                is_open, healthy_since = True, time.monotonic()
             if is_open:
                 state = worker.control
                 if state is not None:
                     pump.source.set_light_weights(state.light_weights)
                 delivered = pump.step(time.monotonic_ns())
                 fault = "" if delivered else fault
-                if now_s - healthy_since > 10.0:
+                if time.monotonic() - healthy_since > _HEALTHY_AFTER_S:
                     backoff.reset()
+                worker.beat(**_status(pump, describe, is_open, fault))
+                pump.source.wait_for_frame(worker.stop, period_s)
         except (CaptureError, AssetError) as error:
             fault, is_open = str(error), False
             pump.source.close()
+            pump.statistics.failures += 1
             delay_s = backoff.next_delay()
             if isinstance(error, AwayError):
                 delay_s = min(delay_s, _AWAY_RETRY_S)
@@ -165,10 +178,8 @@ def capture_loop(
             if not isinstance(error, AwayError) or fault != logged:
                 worker.log.warning("camera failed", reason=fault, retry_in_s=round(delay_s, 1))
             logged = fault
-        worker.beat(**_status(pump, describe, is_open, fault))
-        if is_open:
-            pump.source.wait_for_frame(worker.stop, period_s)
-        else:
+        if not is_open:
+            worker.beat(**_status(pump, describe, is_open, fault))
             worker.stop.wait(min(period_s, 0.1))
     pump.source.close()
 
@@ -189,6 +200,8 @@ def _status(
         "tiles": statistics.tiles,
         "tiles_changed": statistics.tiles_changed,
         "change_tolerance": pump.tolerance,
+        "failures": statistics.failures,
+        "latency_ms": None if statistics.latency_s is None else round(1e3 * statistics.latency_s, 2),
     }
 
 

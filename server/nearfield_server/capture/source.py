@@ -65,4 +65,4 @@ class Source(Protocol):
         """Return the picture at `now_ns` (CLOCK_MONOTONIC), or None if there is none now (dropped, unreadable, not there yet)."""
 
     def describe(self) -> dict[str, Any]:
-        """Describe the source for the status page, as JSON has it; called in another thread than everything else."""
+        """Describe the source for the status page, as JSON has it; called after every frame, also while the source is closed."""
