@@ -186,7 +186,7 @@ class ScriptedDevice:
             return
         self._queue.append(
             SensorFrame(
-                data=pixels.reshape(-1).view(np.uint8),
+                data=pixels.copy().reshape(-1).view(np.uint8),
                 pixel_format=self.pixel_format,
                 width=radiance.shape[1],
                 height=radiance.shape[0],
