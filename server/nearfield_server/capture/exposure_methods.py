@@ -102,7 +102,7 @@ class Sequencer:
 
     def start(self, exposures: Sequence[Exposure]) -> None:
         """Program the device."""
-        if self._is_free:
+        if self._is_free and not self.exposures:
             self._device.use_trigger(False)
         self.exposures = self._device.program_sequence(exposures)
         self._last_id = None
@@ -145,10 +145,13 @@ class SoftwareTrigger:
         self.triggers_lost = 0
         self._plan: tuple[Exposure, ...] = ()
         self._begun_ns = -self._period_ns
+        self._is_switched = False
 
     def start(self, exposures: Sequence[Exposure]) -> None:
-        """Switch to triggered pictures."""
-        self._device.use_trigger(True)
+        """Switch to triggered pictures, once: cameras stop their stream for it."""
+        if not self._is_switched:
+            self._device.use_trigger(True)
+            self._is_switched = True
         self._plan = self.exposures = tuple(exposures)
         self._index, self._attempts, self._follows = 0, 0, True
         self._triggered_ns: int | None = None
@@ -257,7 +260,7 @@ class FreeRunning:
 
     def start(self, exposures: Sequence[Exposure]) -> None:
         """Let the device run, at the first exposure."""
-        if self._is_free:
+        if self._is_free and not self._plan:
             self._device.use_trigger(False)
         self._plan = self.exposures = tuple(exposures)
         self._set_index(0)

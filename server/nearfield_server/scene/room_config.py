@@ -287,7 +287,9 @@ def source_config(source: SourceTable, num_lights: int, file: Path, key: str) ->
 def _view(table: RoomTable, index: int, file: Path) -> TabletView:
     view = table.views[index]
     if view.background:
-        _check_one_per_light(len(table.lights), file, f"views[{index}].background", view.background)
+        # Without switchable lights, as in a real room, one picture of the room as it was.
+        count = max(1, len(table.lights))
+        _check_one_per_light(count, file, f"views[{index}].background", view.background)
     for name in view.background:
         _existing(file, f"views[{index}].background", name)
     return TabletView(

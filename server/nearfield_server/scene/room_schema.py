@@ -51,7 +51,7 @@
     id = "view0"
     width, height, fx, fy, cx, cy           # pinhole, pixels
     world_from_camera = [[...], [...], [...], [...]]
-    background = ["view0_lamp.exr", ...]    # optional, one per light
+    background = ["view0_lamp.exr", ...]    # optional, one per light; one where there are no lights
 
 Paths are relative to the folder of the room file.
 """

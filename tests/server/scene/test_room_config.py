@@ -62,6 +62,7 @@ background = ["a.exr"]
 
 
 def write(folder: Path, text: str = ROOM) -> Path:
+    folder.mkdir(exist_ok=True)
     for name in ("room.glb", "a.exr", "bunny.glb"):
         (folder / name).write_bytes(b"")
     (folder / "frames").mkdir()
@@ -135,6 +136,21 @@ def test_missing_file_is_named_with_its_key(tmp_path: Path, name: str) -> None:
     (tmp_path / name).unlink()
     with pytest.raises(AssetError, match=f"expected an existing file, found '{name}'"):
         load_room(file)
+
+
+def test_a_real_room_has_devices_no_lamps_to_switch_and_one_background(tmp_path: Path) -> None:
+    before, _, after = ROOM.partition("[[lights]]")
+    text = before + after[after.index("[[cameras]]") :]
+    text = text.replace('kind = "lab", files = ["a.exr"]', 'kind = "aravis", address = "192.168.10.21"')
+    text = text.replace(
+        'kind = "exr_sequence", folder = "frames"', 'kind = "v4l2", path = "/dev/v4l/by-id/usb-0"'
+    )
+    room = load_room(write(tmp_path, text))
+    assert room.lights == ()
+    assert [source.kind for source in room.sources] == ["aravis", "v4l2"]
+    assert room.views[0].background_files == ("a.exr",)
+    with pytest.raises(ConfigError, match="background: expected 1 files"):
+        load_room(write(tmp_path / "two", text.replace('["a.exr"]', '["a.exr", "a.exr"]')))
 
 
 def test_folder_without_room_says_what_was_looked_for(tmp_path: Path) -> None:
