@@ -143,6 +143,13 @@ class Service:
         found: dict[str, int] = self.wait("all processes running", all_pids)
         return found
 
+    def spare(self) -> int:
+        """Wait for a process in reserve and return its id."""
+        pid: int = self.wait(
+            "a process in reserve", lambda: self._statuses.get("supervisor", {}).get("spare_pid")
+        )
+        return pid
+
     def forget(self) -> None:
         """Drop all that was heard, so that only news counts."""
         with self._changed:

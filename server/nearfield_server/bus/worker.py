@@ -227,10 +227,14 @@ def run_worker(main: Callable[[Worker], None]) -> NoReturn:
     """Run a child process: read the specification, run `main(worker)`, turn deliberate errors into one logged line.
 
     It does not return after a requested stop (exit code 0) or a deliberate error (3): the process ends at once, because taking the
-    interpreter apart with LLVM loaded costs more than a second. Anything else propagates with its traceback: it is a bug.
+    interpreter apart with LLVM loaded costs more than a second. A process that is never given a specification ends quietly. Anything else
+    propagates with its traceback: it is a bug.
     """
     faulthandler.enable()
-    spec = WorkerSpec.from_json(sys.stdin.readline())
+    line = sys.stdin.readline()
+    if not line:  # held in reserve, and never needed
+        os._exit(0)
+    spec = WorkerSpec.from_json(line)
     configure_logging(spec.process)
     code = _run(spec, main)
     sys.stdout.flush()

@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import structlog
@@ -15,8 +16,19 @@ from nearfield_server.bus.worker import WorkerSpec
 from nearfield_server.errors import ServiceError
 from nearfield_server.supervisor.health import Health
 from nearfield_server.supervisor.restart_policy import RestartPolicy
+from nearfield_server.supervisor.spare import Spare
 
 _log = structlog.get_logger("nearfield.supervisor")
+
+
+def is_stopped(pid: int) -> bool:
+    """Whether the system holds a process still after SIGSTOP; one that is gone is not."""
+    try:
+        stat = Path(f"/proc/{pid}/stat").read_text()
+    except OSError:
+        return False
+    # The name of the program stands in parentheses and may contain anything.
+    return stat.rpartition(")")[2].split()[0] == "T"
 
 
 @dataclass(slots=True)
@@ -27,6 +39,7 @@ class Child:
         spec: what the process is told.
         module: what is run with `python -m`.
         pass_fds: file descriptors that it inherits.
+        spare: where a process in reserve may wait for it.
         status: its newest status message.
         restarts: how often it was started again.
     """
@@ -34,6 +47,7 @@ class Child:
     spec: WorkerSpec
     module: str
     pass_fds: tuple[int, ...] = ()
+    spare: Spare | None = None
     health: Health = field(default_factory=Health)
     policy: RestartPolicy = field(default_factory=RestartPolicy)
     status: dict[str, Any] = field(default_factory=dict)
@@ -59,7 +73,7 @@ class Child:
             ServiceError: the system refuses another process.
         """
         try:
-            self._process = subprocess.Popen(
+            self._process = self._take_spare(now_s) or subprocess.Popen(
                 [sys.executable, "-m", self.module], stdin=subprocess.PIPE, pass_fds=self.pass_fds
             )
         except OSError as error:
@@ -72,6 +86,9 @@ class Child:
         self.health.started(now_s)
         _log.info("process started", child=self.name, pid=self._process.pid)
 
+    def _take_spare(self, now_s: float) -> subprocess.Popen[bytes] | None:
+        return None if self.spare is None else self.spare.take(self.module, now_s)
+
     def watch(self, now_s: float) -> None:
         """Notice death and hanging; start again when it is time."""
         if self._process is None:
@@ -81,6 +98,7 @@ class Child:
             return
         code = self._process.poll()
         if code is None:
+            self.health.held_still(now_s, is_stopped(self._process.pid))
             fault = self.health.fault(now_s)
             if fault is None:
                 return

@@ -30,9 +30,11 @@ from nearfield_server.supervisor.launcher import free_loopback_port
 from nearfield_server.supervisor.notify import notify_systemd
 from nearfield_server.supervisor.recorder_desk import RecorderDesk
 from nearfield_server.supervisor.settings import ServiceSettings
+from nearfield_server.supervisor.spare import Spare
 
 PROCESS_NAME = "supervisor"
 RECORDER_NAME = "recorder"
+CAPTURE_MODULE = "nearfield_server.capture.process"
 _TICK_S = 0.05
 _PUBLISH_PERIOD_S = 0.5
 _STOP_LIMIT_S = 2.0
@@ -89,10 +91,16 @@ class Supervisor:
                 shape = RingShape(camera.intrinsics.height, camera.intrinsics.width)
                 self._ring_fds.append(create_ring(f"cam{len(self._ring_fds)}", shape))
                 undo.callback(os.close, self._ring_fds[-1])
+            self._spare = Spare(CAPTURE_MODULE, (*self._ring_fds, self._signal_fd))
+            undo.callback(self._spare.close)
             self._gate_port = free_loopback_port() if room.remote_nodes else 0
             self.bus = undo.enter_context(Bus(room.name, listen_port=settings.bus_port))
             undo.enter_context(ControlSocket(self._command))
             self._resources = undo.pop_all()
+
+    @property
+    def _has_cameras(self) -> bool:
+        return any(child.spare is not None for child in self.children)
 
     @property
     def port(self) -> int:
@@ -126,6 +134,8 @@ class Supervisor:
                 for child in self.children:
                     child.watch(now_s)
                 self._desk.watch(now_s)
+                if self._ready and self._has_cameras:
+                    self._spare.watch(now_s)
                 all_running = all(
                     child.pid is not None and child.health.is_running(now_s) for child in self.children
                 )
@@ -136,6 +146,7 @@ class Supervisor:
                     notify_systemd("WATCHDOG=1")
             if all_running and not self._ready:
                 self._ready = True
+                self._spare.wait(now_s)
                 with self._lock:
                     state = replace(
                         self._state, revision=self._state.revision + 1, started_ns=time.monotonic_ns()
@@ -176,11 +187,9 @@ class Supervisor:
                 "gate_port": self._gate_port,
                 "replay": {name: replay[name] for name in ("speed", "loop") if name in replay},
             }
-            # A capture process inherits its own ring alone; the other descriptors are only numbers to it.
+            # A capture process inherits its own ring alone (the one in reserve: all); the other descriptors are only numbers to it.
             fds = (rings[index], self._signal_fd)
-            children.append(
-                Child(self._spec(f"cam{index}", options), "nearfield_server.capture.process", fds)
-            )
+            children.append(Child(self._spec(f"cam{index}", options), CAPTURE_MODULE, fds, spare=self._spare))
         light: dict[str, Any] = {
             "frame_rate": settings.frame_rate,
             "num_vals": settings.num_vals,
@@ -302,6 +311,7 @@ class Supervisor:
             "phase": "running" if self._ready else "starting",
             "uptime_s": round(now_s - self._started_s, 3),
             "port": self.port,
+            "spare_pid": self._spare.pid,
             "children": {
                 child.name: {**child.report(), "fault": child.health.fault(now_s)}
                 for child in self._all_children()

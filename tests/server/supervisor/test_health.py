@@ -65,3 +65,14 @@ def test_a_new_process_is_judged_afresh(health: Health) -> None:
     assert not health.is_running(151.0)
     health.status(151.0, "running", 0.0)
     assert health.is_running(151.0)
+
+
+def test_a_process_that_the_system_holds_still_is_frozen_and_one_that_goes_on_is_not(health: Health) -> None:
+    health.status(101.0, "running", 0.0)
+    health.held_still(101.0, is_stopped=True)
+    health.held_still(102.0, is_stopped=True)
+    assert health.fault(102.0) is None
+    assert "stopped by a signal for 1.6 s" in (health.fault(102.6) or "")
+    health.held_still(102.6, is_stopped=False)
+    health.held_still(102.7, is_stopped=True)
+    assert health.fault(102.8) is None
