@@ -28,6 +28,7 @@ from nearfield_server.capture.exposure_methods import (
 RATIO_TOLERANCE: Final = 0.15
 """Relative error of a measured exposure ratio up to which labels count as right. Lamps on the mains flicker in short exposures, and light
 may change a little while a bracket is taken; steps of exposure are factors of two and more."""
+_ROUNDING: Final = 0.1
 _CONSISTENT: Final = 3
 _RECENT: Final = 20
 _MOST_SETTLE_FRAMES: Final = 8
@@ -143,6 +144,7 @@ class Bracketing:
         """
         self._device, self._store, self._ratios = device, store, ratios
         self._wanted = method
+        self._plan: tuple[Exposure, ...] = ()
         name: MethodName = choose_method(method, capabilities)
         self.method: ExposureMethod
         if name == "sequencer":
@@ -167,6 +169,12 @@ class Bracketing:
             words.append(
                 f'hdr.method "{self._wanted}" is more than this camera can do; "{self.method.name}" is used'
             )
+        for asked, found in zip(self._plan, self.method.exposures, strict=False):
+            if abs(found.amount - asked.amount) > _ROUNDING * asked.amount:
+                words.append(
+                    f"{asked.time_s:.3g} s at gain {asked.gain:.3g} was asked for, "
+                    f"the camera exposes {found.time_s:.3g} s at gain {found.gain:.3g}"
+                )
         dropped = len(self._recent) - sum(self._recent)
         if dropped > _RECENT // 4:
             words.append(
@@ -182,6 +190,7 @@ class Bracketing:
             CaptureError: from the device.
         """
         self._shots.clear()
+        self._plan = tuple(exposures)
         self.method.start(exposures)
 
     def step(self, timeout_s: float) -> Bracket | None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final, Protocol
 
 import numpy as np
@@ -164,6 +164,9 @@ class DeviceSource:
             self._trigger.start(self._exposures)
 
     def _start_bracketing(self, table: BracketTable, capabilities: DeviceCapabilities) -> None:
+        is_free = _trigger_of(self._camera.table) != "hardware"
+        if not is_free:
+            capabilities = replace(capabilities, software_trigger=False)
         gain = 10.0 ** (self._camera.table.gain_db / 20.0)
         self._exposures = self._darkroom.first_plan(table, capabilities, gain)
         self._bracketing = Bracketing(
@@ -175,7 +178,7 @@ class DeviceSource:
             method=table.method,
             settle_frames=table.settle_frames,
             period_s=1.0 / self._camera.frame_rate,
-            is_free=_trigger_of(self._camera.table) != "hardware",
+            is_free=is_free,
         )
         self._bracketing.start(self._exposures)
 

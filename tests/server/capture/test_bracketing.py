@@ -124,6 +124,7 @@ def test_exposures_are_those_that_the_device_made_of_them(
     brackets = rig.run(5.0)
     rig.assert_true(brackets)
     assert brackets[0].exposures[3].time_s == pytest.approx(0.0014)
+    assert "0.00125 s at gain 1 was asked for, the camera exposes 0.0014 s" in rig.bracketing.warnings[0]
 
 
 @pytest.mark.parametrize("method", METHODS)

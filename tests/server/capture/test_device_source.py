@@ -224,6 +224,15 @@ def test_brackets_hold_the_range_of_the_scene(
     assert not device.lent
 
 
+def test_a_hardware_trigger_leads_the_camera(rig: Rig, clock: Any) -> None:
+    """Then nothing is triggered by software, whatever the camera can do."""
+    source, device = rig(table={"hdr": BRACKET, "trigger": "hardware"}, capabilities=TRIGGER)
+    source.open()
+    assert len(_run(source, clock, 5.0)) > 2
+    assert device.triggers == 0
+    assert source.describe()["hdr_method"] == "free_running"
+
+
 def test_a_new_plan_is_taken_up(rig: Rig, clock: Any) -> None:
     source, device = rig(table={"hdr": BRACKET}, capabilities=TRIGGER)
     plan = (Exposure(time_s=0.04), Exposure(time_s=0.004))

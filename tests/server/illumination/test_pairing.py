@@ -14,6 +14,7 @@ from nearfield_server.capture.frame_ring import FrameRingReader, FrameRingWriter
 from nearfield_server.capture.ring_memory import RingShape, create_ring
 from nearfield_server.illumination.frames import FrameCollector, camera_report
 from nearfield_server.illumination.pairing import Picture, choose_pictures
+from nearfield_server.pipeline.frame_tracker import FrameTracker
 
 MS = 1_000_000
 PERIOD = 100 * MS
@@ -218,6 +219,64 @@ def test_copies_are_chosen_as_views_are() -> None:
     assert (first.timestamp_ns, second.timestamp_ns) == (110 * MS, 100 * MS)
     assert (first.pixels == 12).all()
     rings.close()
+
+
+def test_tiles_that_are_not_told_to_have_changed_are_those_used_before() -> None:
+    """Older pictures, skipped ones, copies and torn ones included: what was gathered of a tile holds until its revision changes."""
+    rng = np.random.default_rng(11)
+    shape = RingShape(64, 96, 4)
+    fds = [create_ring(f"cam{index}", shape) for index in range(2)]
+    writers = [FrameRingWriter(fd, "w") for fd in fds]
+    now = [10 * MS]
+    collector = FrameCollector([FrameRingReader(fd, "r") for fd in fds], PERIOD * 1e-9, clock=lambda: now[0])
+    tracker = FrameTracker(((64, 96), (64, 96)))
+    gathered: list[np.ndarray | None] = [None, None]
+    revisions, older, kept = [0, 0], 0, 0
+
+    def expose(camera: int) -> None:
+        revisions[camera] += 1
+        with writers[camera].write(revisions[camera], now[0] - int(rng.integers(1, 60)) * MS) as draft:
+            draft.counters[...] = 0
+            draft.pixels[...] = 0 if draft.previous is None else draft.previous
+            if draft.previous is not None:
+                draft.changed[...] = rng.random(draft.changed.shape) < 0.3
+            for row, column in np.argwhere(draft.changed):
+                tile = np.s_[32 * row : 32 * row + 32, 32 * column : 32 * column + 32]
+                draft.pixels[tile] = rng.integers(1, 2000)
+
+    for _ in range(1500):
+        now[0] += int(rng.integers(5, 60)) * MS
+        for camera in range(2):
+            if rng.random() < 0.4:
+                expose(camera)
+        if rng.random() < 0.3:
+            continue
+        frames = collector.collect()
+        if rng.random() < 0.02:
+            for _ in range(4):
+                expose(0)
+        while True:
+            tracker.take(frames)
+            changed = tracker.changed_tiles()
+            tracker.mark_gathered()
+            seen = [None if frame is None else frame.pixels.copy() for frame in frames]
+            is_whole = collector.stayed_whole()
+            for camera, (frame, pixels, before) in enumerate(zip(frames, seen, gathered, strict=True)):
+                if frame is None or pixels is None:
+                    continue
+                older += frame.sequence < collector.readers[camera].newest_sequence
+                if is_whole and before is not None and changed is not None:
+                    differs = (pixels != before).any(-1).reshape(2, 32, 3, 32).any((1, 3))
+                    assert not (differs & ~changed[camera]).any()
+                    kept += int((~changed[camera]).sum())
+            gathered = seen
+            if is_whole:
+                break
+            frames = collector.recollect()
+    assert older > 50
+    assert kept > 1000
+    for fd in fds:
+        os.close(fd)
 
 
 def test_the_report_tells_what_is_in_use() -> None:
