@@ -19,6 +19,7 @@ from nearfield_server.errors import AwayError, BusError, CaptureError
 
 _WISH_PERIOD_S = 0.25
 _FIRST_WISH_PERIOD_S = 0.05
+_ANSWERS_ON_S = 0.15
 _WAIT_S = 0.1
 # What is passed on to the status page of the fields with which the camera describes itself on its node.
 _PASSED_ON = (
@@ -163,6 +164,7 @@ class RemoteSource:
         self._wished_ns = 0  # acknowledges, or asks for what is missing
         if header is None:
             return None
+        self._refusal = ""
         if header.session != session:
             self._clock.clear()  # the node has restarted, perhaps its machine too
             self._confirmed_ns = 0
@@ -208,7 +210,9 @@ class RemoteSource:
         name = f"camera {camera.camera_id}: node {camera.node}"
         with self._lock:
             is_there, answer = self._is_there, self._answer
-            answered_s = (now_ns - self._answer_heard_ns) * 1e-9
+            # Its answers go on although its frames have stopped, or never began.
+            since_s = (self._answer_heard_ns - max(self._fresh_ns or 0, self._watch_from_ns)) * 1e-9
+            answers = answer is not None and since_s > _ANSWERS_ON_S
         if self._refusal:
             return f"{name} sends what cannot be used: {self._refusal}"
         if not is_there and self._fresh_ns is None:
@@ -218,7 +222,7 @@ class RemoteSource:
             )
         if not is_there:
             return f"{name} is cut off or has ended; it joins again by itself"
-        if answer is not None and answered_s < 1.0:
+        if answer is not None and answers:
             return f"{name}: {answer.fault or f'answers, but its camera {camera.camera} delivers no frames'}"
         return f"{name} is silent (frozen, or just cut off); it joins again by itself"
 
