@@ -136,3 +136,20 @@ def test_every_layout_of_a_source_gives_the_same_picture(channels: int, dtype: t
     target, _ = _ingest(pixels[::-1, ::-1])  # not contiguous
     np.testing.assert_array_equal(target[..., :3], pixels[::-1, ::-1, :3])
     assert (target[..., 3] == 1).all()
+
+
+@given(
+    hnp.arrays(np.uint16, (4, 6, 4), elements=st.integers(0, 0xFFFF)),
+    hnp.arrays(np.uint16, (4, 6), elements=st.sampled_from([0x3C00, 0x3BFF, 0x3800, 0, 0x7C00, 0x7E00])),
+    st.booleans(),
+)
+def test_half_words_are_cleaned_as_the_same_numbers_in_float(
+    bits: np.ndarray, alpha: np.ndarray, any_alpha: bool
+) -> None:
+    if not any_alpha:
+        bits[..., 3] = alpha
+    halves = bits.view(np.float16)
+    found, counts = _ingest(halves)
+    expected, expected_counts = _ingest(halves.astype(np.float32))
+    assert np.array_equal(found.view(np.uint16), expected.view(np.uint16))
+    assert counts == expected_counts

@@ -81,10 +81,10 @@ def _split(words: NDArray[np.uint64], chosen: NDArray[np.bool_], planes: NDArray
             left = tile_column * FRAME_TILE
             count = min(FRAME_TILE, width - left)
             for row in range(tile_row * FRAME_TILE, min((tile_row + 1) * FRAME_TILE, height)):
-                for byte in range(WORD_BYTES):
-                    shift = np.uint64(8 * byte)
-                    for column in range(count):
-                        planes[byte, position + column] = np.uint8(words[row, left + column] >> shift)
+                for column in range(count):
+                    word = words[row, left + column]
+                    for byte in range(WORD_BYTES):
+                        planes[byte, position + column] = np.uint8(word >> np.uint64(8 * byte))
                 position += count
 
 
