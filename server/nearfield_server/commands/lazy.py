@@ -28,6 +28,9 @@ COMMANDS: dict[str, CommandEntry] = {
     "serve": CommandEntry(
         "nearfield_server.commands.serve", "serve", "Serve a room: cameras in, light and page out."
     ),
+    "cameras": CommandEntry(
+        "nearfield_server.commands.cameras", "cameras", "List connected cameras and write a room file."
+    ),
     "doctor": CommandEntry(
         "nearfield_server.commands.doctor", "doctor", "Check this machine and say what to do."
     ),

@@ -15,7 +15,12 @@ from nearfield_server.doctor.network import (
     check_ports,
     check_receive_buffer,
 )
-from nearfield_server.doctor.room_cameras import check_room_cameras, gige_streams, recorded_bytes_per_s
+from nearfield_server.doctor.room_cameras import (
+    check_certificates,
+    check_room_cameras,
+    gige_streams,
+    recorded_bytes_per_s,
+)
 from nearfield_server.doctor.software import (
     check_aravis,
     check_graphics,
@@ -77,6 +82,7 @@ def examine(
         lambda: check_governor(machine),
         lambda: check_page(static_dir),
         lambda: [] if room is None else check_room_cameras(machine, room),
+        lambda: [] if room is None else check_certificates(room),
     ]
     for check in checks:
         found = check()

@@ -15,6 +15,7 @@ import sys
 from pathlib import Path
 from typing import Protocol
 
+from nearfield_server.capture.v4l2.discovery import inspect_camera
 from nearfield_server.onboarding.aravis_details import inspect_gige, inspect_usb
 from nearfield_server.onboarding.gige import AnsweringCamera, ask_camera
 from nearfield_server.scene.device_schema import DeviceSourceTable, V4l2SourceTable
@@ -202,7 +203,8 @@ class ThisMachine:
     def pixel_formats(self, source: DeviceSourceTable) -> tuple[str, ...]:
         """See `Machine`."""
         if isinstance(source, V4l2SourceTable):
-            return ()
+            camera = inspect_camera(source.path)
+            return () if camera is None else tuple(choice.name for choice in camera.formats)
         if source.address is None:
             return inspect_usb(str(source.serial)).pixel_formats
         return inspect_gige(str(source.address), ask_camera(str(source.address)).own_address).pixel_formats

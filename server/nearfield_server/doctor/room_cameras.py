@@ -5,10 +5,12 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 
+from nearfield_server.capture.remote.gate import check_service_certificate
+from nearfield_server.capture.v4l2.formats import find_format
 from nearfield_server.doctor.finding import Finding, ok, problem, warning
 from nearfield_server.doctor.machine import Machine
 from nearfield_server.doctor.network import GigeStream
-from nearfield_server.errors import CaptureError
+from nearfield_server.errors import CaptureError, ConfigError
 from nearfield_server.records import CameraModel
 from nearfield_server.scene.device_schema import (
     AravisSourceTable,
@@ -90,6 +92,19 @@ def check_room_cameras(machine: Machine, room: RoomConfig) -> list[Finding]:
     return findings
 
 
+def check_certificates(room: RoomConfig) -> list[Finding]:
+    """The certificate that camera nodes are shown, if the room has any; nodes check their own."""
+    if room.remote is None:
+        return []
+    try:
+        warnings = check_service_certificate(room)
+    except ConfigError as error:
+        return [problem("certificates", str(error), "nearfield certificates room --help")]
+    if warnings:
+        return [warning("certificates", "; ".join(warnings), "nearfield certificates room --help")]
+    return [ok("certificates", f"valid for {room.remote.address}")]
+
+
 def _check_aravis(machine: Machine, name: str, source: AravisSourceTable) -> Finding:
     if source.address is not None:
         return _check_gige(machine, name, source)
@@ -148,10 +163,12 @@ def _check_v4l2(machine: Machine, name: str, source: V4l2SourceTable) -> Finding
             f"sudo usermod -aG video {machine.user()}   # then log in again",
         )
     try:
+        # Rooms may name a format by its four characters, its usual name, or as frames do.
+        pixel_format = find_format(source.pixel_format).usual_name
         formats = machine.pixel_formats(source)
     except CaptureError as error:
         return problem(name, str(error), "nearfield cameras")
-    return _check_format(name, source.path, source.pixel_format, formats)
+    return _check_format(name, source.path, pixel_format, formats)
 
 
 def _check_format(name: str, who: str, pixel_format: str, formats: Sequence[str]) -> Finding:

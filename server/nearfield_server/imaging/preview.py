@@ -124,11 +124,28 @@ def paint_preview(
         (h, w, 3) uint8 sRGB, red first.
     """
     picture = reduce_picture(pixels, max_side, circle)
-    shown = tone_map(picture.radiance, middle_exposure(picture) * 2.0**stops)
+    return _compose(tone_map(picture.radiance, middle_exposure(picture) * 2.0**stops), picture, marks)
+
+
+def as_exposed(signal: NDArray[np.float32], *, max_side: int, marks: bool = True) -> NDArray[np.uint8]:
+    """Paint the signal of one exposure as it is: black at 0, white at 1, so that too long and too short can be seen.
+
+    Args:
+        signal: (H, W, 4) share of the signal range; alpha as in `reduce_picture`.
+        max_side: longer side of the result, pixels.
+        marks: paint saturated pixels.
+
+    Returns:
+        (h, w, 3) uint8 sRGB, red first.
+    """
+    picture = reduce_picture(signal, max_side)
+    return _compose(srgb_codes(picture.radiance), picture, marks)
+
+
+def _compose(shown: NDArray[np.uint8], picture: ReducedPicture, marks: bool) -> NDArray[np.uint8]:
     share = picture.valid[..., None]
-    painted: NDArray[np.uint8] = np.rint(shown * share + np.array(GROUND, np.float32) * (1.0 - share)).astype(
-        np.uint8
-    )
+    ground = np.array(GROUND, np.float32)
+    painted: NDArray[np.uint8] = np.rint(shown * share + ground * (1.0 - share)).astype(np.uint8)
     if marks:
         painted[picture.invalid] = INVALID_MARK
         painted[picture.bound] = BOUND_MARK

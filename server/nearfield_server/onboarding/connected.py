@@ -32,6 +32,7 @@ class Connected:
         interface: network interface, USB device or device node that it was found on.
         width, height: largest picture, pixels; 0 where it does not tell.
         pixel_formats: that it offers.
+        format_sizes: largest picture (width, height) in each of them, where that differs; else empty.
         state: "free", "in use" (some program controls it), "not allowed" (for this user) or "out of reach".
         advice: what to do about the state, or about what could not be read.
     """
@@ -45,6 +46,7 @@ class Connected:
     width: int = 0
     height: int = 0
     pixel_formats: tuple[str, ...] = ()
+    format_sizes: tuple[tuple[int, int], ...] = ()
     state: str = FREE
     advice: str = ""
 
@@ -52,6 +54,11 @@ class Connected:
     def name(self) -> str:
         """For people: vendor and model, or the place where the camera tells neither."""
         return " ".join(filter(None, (self.vendor, self.model))) or self.place
+
+    def size_of(self, pixel_format: str) -> tuple[int, int]:
+        """(width, height) of the largest picture in a pixel format; (0, 0) where it does not tell."""
+        sizes = dict(zip(self.pixel_formats, self.format_sizes, strict=False))
+        return sizes.get(pixel_format, (self.width, self.height))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -148,7 +155,9 @@ def _with_details(finder: Finder, camera: Connected) -> Connected:
     )
 
 
-_IN_USE_ADVICE = "end the program that controls it; previews of a running service are on its page /status"
+_IN_USE_ADVICE = (
+    "End the program that controls it. What the cameras of a running service see is on its page /status."
+)
 
 
 def in_use(camera: Connected) -> Connected:

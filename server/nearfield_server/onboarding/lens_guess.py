@@ -7,7 +7,7 @@ knows from the data sheet.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import cv2
@@ -90,6 +90,13 @@ def guess_lens(
         ),
         True,
     )
+
+
+def with_field(lens: FisheyeIntrinsics, field_degrees: float) -> FisheyeIntrinsics:
+    """The same image circle of a lens that shows another full angle."""
+    theta_max = math.radians(field_degrees) / 2
+    scale = lens.theta_max / theta_max
+    return replace(lens, fx=lens.fx * scale, fy=lens.fy * scale, theta_max=theta_max)
 
 
 def default_lens(width: int, height: int, field_degrees: float = DEFAULT_FIELD_DEGREES) -> FisheyeIntrinsics:

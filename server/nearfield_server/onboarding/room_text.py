@@ -128,6 +128,24 @@ def camera_ids(text: str) -> list[str]:
     return [str(camera.get("id", "")) for camera in cameras if isinstance(camera, dict)]
 
 
+def camera_places(text: str) -> list[str]:
+    """Addresses, serial numbers and device paths of the cameras of a room file.
+
+    Raises:
+        ConfigError: it is not TOML.
+    """
+    sources = [
+        camera.get("source") for camera in _tables(text).get("cameras", []) if isinstance(camera, dict)
+    ]
+    return [
+        str(source[key])
+        for source in sources
+        if isinstance(source, dict)
+        for key in ("address", "serial", "path")
+        if key in source
+    ]
+
+
 def free_camera_id(taken: Sequence[str]) -> str:
     """First of cam0, cam1, ... that is not taken."""
     return next(name for name in (f"cam{number}" for number in range(len(taken) + 1)) if name not in taken)

@@ -166,6 +166,9 @@ def write_room(folder: Path, *sources: str) -> Path:
     model = next(TINY_ROOM.glob("*.glb"))
     (folder / "room.glb").write_bytes(model.read_bytes())
     text = 'format = 1\nname = "lab"\nmodel = "room.glb"\nframe_rate = 10.0\n'
+    if any("remote" in source for source in sources):
+        (folder / "certificates").mkdir(exist_ok=True)
+        text += '[remote]\nlisten = "192.168.10.1:7448"\ncertificates = "certificates"\n'
     text += "".join(CAMERA.format(index=index, source=source) for index, source in enumerate(sources))
     (folder / "room.toml").write_text(text)
     return folder / "room.toml"

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 
+from nearfield_server.capture.remote.certificates import new_room
 from nearfield_server.doctor.finding import Level
 from nearfield_server.doctor.room_cameras import (
     bits_per_pixel,
+    check_certificates,
     check_room_cameras,
     gige_streams,
     recorded_bytes_per_s,
@@ -106,9 +109,17 @@ def test_video_cameras(make_room: MakeRoom, machine: FakeMachine) -> None:
     machine.formats = ("YUYV", "MJPG")
     (finding,) = check_room_cameras(machine, room)
     expect(finding, OK, path, "YUYV")
-    machine.formats = ("MJPG",)
+    machine.formats = ("MJPEG",)
     (finding,) = check_room_cameras(machine, room)
-    expect(finding, PROBLEM, "does not offer YUYV, but MJPG")
+    expect(finding, PROBLEM, "does not offer YUYV, but MJPEG")
+    for alias in ("MJPG", "mjpeg"):
+        as_written = make_room(f'kind = "v4l2", path = "{path}", pixel_format = "{alias}"')
+        (finding,) = check_room_cameras(machine, as_written)
+        expect(finding, OK, "MJPEG")
+    (finding,) = check_room_cameras(
+        machine, make_room(f'kind = "v4l2", path = "{path}", pixel_format = "NONE"')
+    )
+    expect(finding, PROBLEM, "expected a V4L2 format")
     machine.formats = CaptureError("busy")
     (finding,) = check_room_cameras(machine, room)
     expect(finding, PROBLEM, "busy")
@@ -120,3 +131,16 @@ def test_video_cameras(make_room: MakeRoom, machine: FakeMachine) -> None:
 def test_cameras_of_other_machines_are_left_to_them(make_room: MakeRoom, machine: FakeMachine) -> None:
     (finding,) = check_room_cameras(machine, make_room('kind = "remote", node = "window", camera = "cam9"'))
     expect(finding, OK, "node window")
+
+
+def test_certificates_for_camera_nodes(make_room: MakeRoom, tmp_path: Path) -> None:
+    assert check_certificates(make_room(BY_ADDRESS)) == []
+    room = make_room('kind = "remote", node = "window", camera = "cam9"')
+    (finding,) = check_certificates(room)
+    expect(finding, PROBLEM, "ca.pem", "nearfield certificates")
+    new_room(tmp_path / "certificates", ["192.168.10.1"])
+    (finding,) = check_certificates(room)
+    expect(finding, OK, "192.168.10.1:7448")
+    (tmp_path / "certificates" / "service.key").chmod(0o644)
+    (finding,) = check_certificates(room)
+    expect(finding, WARNING, "chmod 600")

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from nearfield_server.onboarding.lens_guess import default_lens, find_image_circle, guess_lens
+from nearfield_server.onboarding.lens_guess import default_lens, find_image_circle, guess_lens, with_field
 from nearfield_server.scene.exr import read_exr
 from nearfield_server.scene.room_config import LabSourceConfig, load_room
 
@@ -76,6 +77,8 @@ def test_the_lens_ends_where_the_circle_does() -> None:
     assert lens.theta_max == pytest.approx(math.radians(95))
     assert lens.fx * lens.theta_max == pytest.approx(200.0, abs=1.2)
     assert (lens.width, lens.height, lens.k) == (640, 480, (0.0, 0.0, 0.0, 0.0))
+    wide, _ = guess_lens(_picture(480, 640, 330.0, 235.0, 200.0))
+    assert with_field(wide, 190.0) == replace(lens, fx=pytest.approx(lens.fx), fy=pytest.approx(lens.fy))
     unknown, is_found = guess_lens(np.zeros((480, 640)))
     assert not is_found
     assert unknown == default_lens(640, 480)
