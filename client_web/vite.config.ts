@@ -8,7 +8,7 @@ export default defineConfig({
     emptyOutDir: true,
     target: 'es2022',
     chunkSizeWarningLimit: 900,
-    rollupOptions: { input: ['index.html', 'status.html'] },
+    rollupOptions: { input: ['index.html', 'setup.html', 'status.html'] },
   },
   worker: { format: 'es' },
   server: {

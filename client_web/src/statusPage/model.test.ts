@@ -1,8 +1,8 @@
 import fc from 'fast-check'
 import { describe, expect, it } from 'vitest'
+import { exposureTime } from '../ui/format'
 import { linePath, SPAN_S, scaleTop } from './chart'
 import { increments, parseHistory, parseStatus } from './model'
-import { exposureTime } from './words'
 
 const camera = {
   id: 'cam0',

@@ -1,5 +1,5 @@
 /** Texts of the status page. */
-import { duration, perSecond, share } from '../ui/format'
+import { duration, exposureTime, perSecond, share } from '../ui/format'
 import type { Camera, CameraState } from './model'
 
 export const words = {
@@ -52,14 +52,6 @@ export const words = {
   recorded: (written: number, dropped: number) =>
     `${written} pictures written${dropped > 0 ? `, ${dropped} left out` : ''}`,
   room: (minutes: number) => `for ${duration(60_000 * minutes)}`,
-}
-
-/** Seconds as photographers read them: "1/250 s", "0.5 s", "40 µs". */
-export function exposureTime(timeS: number): string {
-  if (timeS >= 0.3) {
-    return `${timeS.toFixed(1)} s`
-  }
-  return timeS >= 1 / 8000 ? `1/${Math.round(1 / timeS)} s` : `${Math.round(1e6 * timeS)} µs`
 }
 
 export function exposures(camera: Camera): string | null {

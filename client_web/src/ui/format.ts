@@ -69,3 +69,11 @@ export function readableName(name: string): string {
   const words = name.replaceAll(/[_-]+/g, ' ').trim()
   return words === '' ? name : (words[0] ?? '').toUpperCase() + words.slice(1)
 }
+
+/** Seconds as photographers read them: "1/250 s", "0.5 s", "40 µs". */
+export function exposureTime(timeS: number): string {
+  if (timeS >= 0.3) {
+    return `${timeS.toFixed(1)} s`
+  }
+  return timeS >= 1 / 8000 ? `1/${Math.round(1 / timeS)} s` : `${Math.round(1e6 * timeS)} µs`
+}

@@ -9,8 +9,9 @@ from pathlib import Path
 from nearfield_server.errors import ServiceError
 from nearfield_server.evaluation.browser import ClientPictures, take_pictures
 from nearfield_server.evaluation.light_run import LightRun
-from nearfield_server.gateway.app import BUILT_CLIENT, create_app
+from nearfield_server.gateway.app import create_app
 from nearfield_server.gateway.hub import LightHub
+from nearfield_server.gateway.pages import BUILT_CLIENT
 from nearfield_server.gateway.ports import NoControls
 from nearfield_server.gateway.scene_builder import build_scene
 from nearfield_server.gateway.server import serve_in_thread

@@ -9,14 +9,15 @@ from pathlib import Path
 from typing import Any
 
 from fastapi import FastAPI, Request, WebSocket
-from fastapi.responses import FileResponse, HTMLResponse, JSONResponse, Response
+from fastapi.responses import FileResponse, JSONResponse, Response
 from starlette.exceptions import HTTPException
-from starlette.staticfiles import NotModifiedResponse, StaticFiles
+from starlette.staticfiles import NotModifiedResponse
 
 from nearfield_protocol.layout import VERSION
 from nearfield_server.gateway.connection import serve_websocket
 from nearfield_server.gateway.hub import LightHub
 from nearfield_server.gateway.metrics import CONTENT_TYPE
+from nearfield_server.gateway.pages import BUILT_CLIENT, ClientFiles
 from nearfield_server.gateway.ports import ControlSink
 from nearfield_server.gateway.previews import CameraPreviews, add_preview_routes
 from nearfield_server.gateway.scene_description import SceneDescription
@@ -24,15 +25,6 @@ from nearfield_server.gateway.security import Guard, HostPolicy
 
 STATUS_PERIOD_S = 0.5
 MEDIA_TYPES = {".glb": "model/gltf-binary", ".exr": "image/x-exr"}
-BUILT_CLIENT = Path(__file__).resolve().parents[1] / "static"
-"""Where the built client lies in a checkout and in the wheel."""
-
-NOT_BUILT = """<!doctype html><html lang="en"><meta charset="utf-8"><title>Nearfield</title>
-<h1>The page is not built yet</h1>
-<p>The server runs, but its browser client is missing. In the source tree, run
-<code>npm ci &amp;&amp; npm run build</code> in <code>client_web</code> and reload this page.</p>
-<p>What the server knows: <a href="api/scene">scene</a>, <a href="api/status">status</a>, <a href="metrics">metrics</a>.</p></html>
-"""
 
 
 def create_app(
@@ -78,11 +70,11 @@ def create_app(
     app.add_middleware(
         Guard, policy=HostPolicy.create(allowed_hosts, lan=lan), on_refused=hub.metrics.refused.inc
     )
-    static = _ClientFiles(directory=static_dir, html=True, check_dir=False)
+    static = ClientFiles(directory=static_dir, html=True, check_dir=False)
     _add_rest(app, scene, hub, status, history)
     if previews is not None:
         add_preview_routes(app, previews)
-    _add_files(app, static, static_dir, dict(assets or {}))
+    _add_files(app, static, dict(assets or {}))
 
     @app.websocket("/ws")
     async def websocket(websocket: WebSocket) -> None:
@@ -90,15 +82,6 @@ def create_app(
 
     app.mount("/", static)
     return app
-
-
-class _ClientFiles(StaticFiles):
-    """The built client; as long as it is not built, every file of it is missing."""
-
-    async def check_config(self) -> None:
-        if not Path(str(self.directory)).is_dir():
-            raise HTTPException(404)
-        await super().check_config()
 
 
 async def _heartbeat(hub: LightHub) -> None:
@@ -148,22 +131,14 @@ def _add_rest(
         return Response(hub.metrics.render(), headers={"Content-Type": CONTENT_TYPE})
 
 
-def _add_files(app: FastAPI, static: StaticFiles, static_dir: Path, assets: dict[str, Path]) -> None:
+def _add_files(app: FastAPI, static: ClientFiles, assets: dict[str, Path]) -> None:
     @app.api_route("/", methods=["GET", "HEAD"])
     async def get_page(request: Request) -> Response:
-        return await built_page("index.html", request)
+        return await static.page("index.html", request)
 
     @app.api_route("/status", methods=["GET", "HEAD"])
     async def get_status_page(request: Request) -> Response:
-        return await built_page("status.html", request)
-
-    async def built_page(name: str, request: Request) -> Response:
-        if not (static_dir / name).is_file():
-            return HTMLResponse(NOT_BUILT, status_code=503)
-        response = await static.get_response(name, request.scope)
-        # Names of the built scripts hold a hash of their content; the page that names them must be fresh.
-        response.headers["Cache-Control"] = "no-cache"
-        return response
+        return await static.page("status.html", request)
 
     @app.api_route("/assets/{path:path}", methods=["GET", "HEAD"])
     async def get_asset(path: str, request: Request) -> Response:

@@ -11,7 +11,7 @@ import pytest
 from nearfield_server.benchmark import latency
 from nearfield_server.benchmark.running_service import running_service
 from nearfield_server.errors import ServiceError
-from nearfield_server.gateway.app import BUILT_CLIENT
+from nearfield_server.gateway.pages import BUILT_CLIENT
 
 TINY_ROOM = Path(__file__).parents[2] / "data" / "tiny_room"
 

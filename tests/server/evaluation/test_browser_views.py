@@ -10,7 +10,7 @@ import pytest
 
 from nearfield_server.evaluation.browser import BROWSER_NAMES
 from nearfield_server.evaluation.evaluate import evaluate_bundle
-from nearfield_server.gateway.app import BUILT_CLIENT
+from nearfield_server.gateway.pages import BUILT_CLIENT
 from nearfield_server.radiometry import image_metrics
 
 pytestmark = [

@@ -1,0 +1,207 @@
+/** One connected camera: its picture about once a second, its exposure, and whether it shall be in the room. */
+import { slider, switchRow } from '../ui/controls'
+import { element, setText } from '../ui/dom'
+import { exposureTime } from '../ui/format'
+import { choice, field, NAME_PATTERN, textInput } from './form'
+import { Histogram } from './histogram'
+import { type Camera, type ChosenCamera, canLook, type Look, mayJoin, readLook } from './model'
+import { words } from './words'
+
+const PERIOD_MS = 1000
+const RETRY_MS = 4000
+const NAMESPACE = 'http://www.w3.org/2000/svg'
+
+export class CameraCard {
+  readonly element: HTMLElement
+  readonly #camera: Camera
+  readonly #image = element('img', { hidden: true })
+  readonly #note = element('span', { className: 'preview-note' }, words.noPicture)
+  readonly #circle = document.createElementNS(NAMESPACE, 'svg')
+  readonly #histogram = new Histogram()
+  readonly #name: HTMLInputElement
+  readonly #format: HTMLSelectElement
+  readonly #exposure
+  readonly #field
+  #fieldDegrees = 180
+  #isIncluded: boolean
+  #exposureS: number | null = null
+  /** The exposure of the last picture, s. */
+  #shownS: number | null = null
+  #isVisible = false
+  #isLooking = false
+  #nextMs = 0
+
+  constructor(camera: Camera, name: string) {
+    this.#camera = camera
+    this.#isIncluded = mayJoin(camera)
+    this.#name = textInput(name, NAME_PATTERN)
+    this.#format = choice(camera.pixel_formats, camera.pixel_format)
+    this.#format.addEventListener('change', () => this.#hurry())
+    this.#image.alt = words.pictureOf(camera.name)
+    this.#circle.setAttribute('class', 'circle')
+    this.#circle.setAttribute('aria-hidden', 'true')
+    // In powers of two: a step is the same change of brightness everywhere.
+    this.#exposure = slider(
+      words.exposure,
+      { min: -20, max: 4, step: 0.125 },
+      (stops) => exposureTime(2 ** stops),
+      (stops) => {
+        this.#exposureS = 2 ** stops
+        this.#hurry()
+      },
+    )
+    this.#field = slider(words.field, { min: 90, max: 230, step: 1 }, words.degrees, (degrees) => {
+      this.#fieldDegrees = degrees
+    })
+    this.#field.set(this.#fieldDegrees)
+    this.#exposure.input.disabled = true
+    this.element = element(
+      'article',
+      { className: 'card camera' },
+      element(
+        'header',
+        {},
+        element('h3', {}, camera.name),
+        element('span', { className: 'state', attributes: { 'data-state': this.#tone } }, this.#stateWords),
+      ),
+      element(
+        'p',
+        { className: 'where' },
+        [camera.kind, camera.place, camera.serial === camera.place ? '' : camera.serial]
+          .filter(Boolean)
+          .join(' · '),
+      ),
+      ...(camera.advice === '' ? [] : [element('p', { className: 'words' }, camera.advice)]),
+    )
+    if (canLook(camera)) {
+      this.element.append(this.#body())
+    }
+    this.#showInclusion()
+    new IntersectionObserver((entries) => {
+      this.#isVisible = entries.at(-1)?.isIntersecting ?? false
+    }).observe(this.element)
+  }
+
+  /** What the room file shall say of it; null where it is left out. */
+  get choice(): ChosenCamera | null {
+    if (!this.#isIncluded) {
+      return null
+    }
+    return {
+      index: this.#camera.index,
+      id: this.#name.value,
+      pixel_format: this.#format.value,
+      exposure_s: this.#shownS,
+      field_degrees: this.#fieldDegrees,
+    }
+  }
+
+  get hasGoodName(): boolean {
+    return this.#name.checkValidity()
+  }
+
+  /** Call it often: takes a new picture when it is time, and never two at once. */
+  look(nowMs: number): void {
+    if (
+      !canLook(this.#camera) ||
+      !this.#isVisible ||
+      document.hidden ||
+      this.#isLooking ||
+      nowMs < this.#nextMs
+    ) {
+      return
+    }
+    this.#isLooking = true
+    this.#nextMs = nowMs + PERIOD_MS
+    readLook(this.#camera.index, this.#format.value, this.#exposureS).then((answer) => {
+      this.#isLooking = false
+      if ('value' in answer) {
+        this.#show(answer.value)
+      } else {
+        this.#nextMs = performance.now() + RETRY_MS
+        this.#image.hidden = true
+        this.#note.hidden = false
+        setText(this.#note, answer.error)
+        this.#circle.replaceChildren()
+      }
+    })
+  }
+
+  get #tone(): string {
+    return canLook(this.#camera) || this.#camera.is_in_room ? 'live' : 'stale'
+  }
+
+  get #stateWords(): string {
+    return this.#camera.is_in_room ? words.inRoom : this.#camera.state
+  }
+
+  #body(): HTMLElement {
+    const body = element(
+      'div',
+      {},
+      element('div', { className: 'preview' }, this.#image, this.#circle, this.#note),
+      element(
+        'div',
+        { className: 'look' },
+        this.#histogram.element,
+        field(words.exposure, this.#exposure.element),
+      ),
+    )
+    if (mayJoin(this.#camera)) {
+      const include = switchRow(words.include, this.#isIncluded, (on) => {
+        this.#isIncluded = on
+        this.#showInclusion()
+      })
+      body.append(
+        field(words.pixelFormat, this.#format),
+        field(words.field, this.#field.element),
+        include.element,
+        field(words.name, this.#name),
+      )
+    }
+    return body
+  }
+
+  #showInclusion(): void {
+    this.element.classList.toggle('left-out', mayJoin(this.#camera) && !this.#isIncluded)
+    this.#name.disabled = !this.#isIncluded
+  }
+
+  #hurry(): void {
+    this.#nextMs = 0
+    this.look(performance.now())
+  }
+
+  #show(look: Look): void {
+    this.#image.src = look.picture
+    this.#image.hidden = false
+    this.#note.hidden = true
+    this.#shownS = look.exposure_s
+    this.#histogram.show(look.histogram, look.saturated_share)
+    this.#showExposure(look)
+    this.#circle.setAttribute('viewBox', `0 0 ${look.width} ${look.height}`)
+    this.#circle.replaceChildren()
+    if (look.circle !== null) {
+      const ring = document.createElementNS(NAMESPACE, 'circle')
+      // SVG counts from the corner of the first pixel, not from its centre.
+      ring.setAttribute('cx', String(look.circle.x + 0.5))
+      ring.setAttribute('cy', String(look.circle.y + 0.5))
+      ring.setAttribute('r', String(look.circle.radius))
+      this.#circle.append(ring)
+    }
+  }
+
+  #showExposure(look: Look): void {
+    const { input } = this.#exposure
+    const [shortest, longest] = look.exposure_range_s
+    input.disabled = shortest >= longest
+    if (!input.disabled) {
+      input.min = String(Math.max(-20, Math.floor(8 * Math.log2(shortest)) / 8))
+      input.max = String(Math.min(4, Math.ceil(8 * Math.log2(longest)) / 8))
+    }
+    // A finger on the slider is not pushed away.
+    if (!input.matches(':active')) {
+      this.#exposure.set(Math.log2(look.exposure_s))
+    }
+  }
+}
