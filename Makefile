@@ -16,7 +16,7 @@ NODE_STAMP := client_web/node_modules/.installed
 CLIENT_BUILD := server/nearfield_server/static/index.html
 BENCH_BUILD := server/nearfield_server/static_bench/index.html
 BENCH_SOURCES := $(shell find client_web/bench -type f 2>/dev/null) client_web/vite.bench.config.ts
-CLIENT_SOURCES := $(shell find client_web/src client_web/index.html client_web/status.html client_web/public protocol/nearfield_protocol/glsl -type f 2>/dev/null) \
+CLIENT_SOURCES := $(shell find client_web/src client_web/index.html client_web/setup.html client_web/status.html client_web/public protocol/nearfield_protocol/glsl -type f 2>/dev/null) \
 	client_web/vite.config.ts client_web/tsconfig.json
 
 .DEFAULT_GOAL := help
