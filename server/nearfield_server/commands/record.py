@@ -121,7 +121,8 @@ def _own_service(room: Path, rate: float | None, console: Console) -> Iterator[R
     )
     try:
         with console.status("the service starts"):
-            yield _wait_until_ready(process, path)
+            service = _wait_until_ready(process, path)
+        yield service
     finally:
         process.send_signal(signal.SIGTERM)
         process.wait()
@@ -210,6 +211,6 @@ def _wait_for_end(service: RunningService, console: Console) -> None:
             time.sleep(_LOOK_S)
     recording = status["recording"]
     if recording:
-        console.print(f"{recording['folder']}: {_numbers(recording)}", highlight=False)
+        console.print(f"{recording['folder']}: {_numbers(recording)}", highlight=False, soft_wrap=True)
         for warning in recording["warnings"]:
-            console.print(warning, highlight=False, style="yellow")
+            console.print(warning, highlight=False, soft_wrap=True, style="yellow")

@@ -26,7 +26,7 @@ def info(recording: Folder) -> None:
     console = Console()
     found = open_recording(recording)
     for line in describe(found):
-        console.print(line, highlight=False)
+        console.print(line, highlight=False, soft_wrap=True)
     _problems(found.problems)
 
 
@@ -59,7 +59,7 @@ def export(
         words for words in _with_progress("exporting", found.num_frames, export_exr(found, to)) if words
     ]
     _problems([*found.problems, *damaged])
-    Console().print(f"{to}: {found.num_frames - len(damaged)} frames", highlight=False)
+    Console().print(f"{to}: {found.num_frames - len(damaged)} frames", highlight=False, soft_wrap=True)
     if damaged:
         raise AssetError(f"{recording}: {len(damaged)} frames are damaged and were left out")
 
@@ -94,7 +94,7 @@ def describe(recording: Recording) -> Iterator[str]:
 def _problems(problems: list[str] | tuple[str, ...]) -> None:
     console = Console(stderr=True)
     for problem in problems:
-        console.print(problem, highlight=False, style="yellow")
+        console.print(problem, highlight=False, soft_wrap=True, style="yellow")
 
 
 def _with_progress(words: str, total: int, steps: Iterator[str]) -> Iterator[str]:

@@ -76,5 +76,5 @@ def _check(folder: Path, backend: str) -> int:
 
         report = check_identity(folder, backend=None if backend == "auto" else backend, progress=say)
     for line in report.lines():
-        console.print(line, highlight=False)
+        console.print(line, highlight=False, soft_wrap=True)
     return 0 if report.is_identical else 1

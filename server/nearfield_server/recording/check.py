@@ -136,8 +136,12 @@ def check_identity(
                 f"camera {entry.camera_id}: lens or pose of the room file is not that of the recording"
             )
     bounds = load_bounds(room)
+    prepared: dict[str, tuple[Callable[[], LightPipeline], RoomMesh]] = {}
     for run in runs:
-        make, mesh, _ = prepare_pipeline(room, {"backend": backend or run.begin.backend}, lambda *_: None)
+        name = backend or run.begin.backend
+        if name not in prepared:
+            prepared[name] = prepare_pipeline(room, {"backend": name}, lambda *_: None)[:2]
+        make, mesh = prepared[name]
         if room_revision(mesh.content_hash) != run.begin.room_revision:
             raise AssetError(f"{folder}: the room model is not the one that was recorded")
         _check_run(

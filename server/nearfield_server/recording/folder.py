@@ -61,7 +61,7 @@ def begin_take(folder: Path, kind: Kind, room: RoomConfig) -> tuple[Manifest, Ta
     """Write the manifest with a new take and return both.
 
     Raises:
-        ServiceError: the folder holds something else, or another recording.
+        ServiceError: the folder holds another recording.
         OSError: the disk refuses.
     """
     folder.mkdir(parents=True, exist_ok=True)
@@ -87,8 +87,6 @@ def begin_take(folder: Path, kind: Kind, room: RoomConfig) -> tuple[Manifest, Ta
             raise ServiceError(f"{folder}: holds another recording; choose another folder")
         number = max(take.number for take in found.takes) + 1
         fresh = replace(fresh, takes=found.takes)
-    elif any(entry for entry in folder.iterdir() if not entry.name.startswith(".")):
-        raise ServiceError(f"{folder}: a recording needs a new or empty folder, and this one holds something")
     take = TakeEntry(
         number=number,
         started_ns=time.monotonic_ns(),

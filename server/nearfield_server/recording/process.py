@@ -24,7 +24,7 @@ from nearfield_server.recording.files.json_lines import LineWriter
 from nearfield_server.recording.files.light_log import LIGHT_FILE, line_of
 from nearfield_server.recording.files.manifest import Manifest, TakeEntry, write_manifest
 from nearfield_server.recording.files.raw_store import RawWriter
-from nearfield_server.recording.folder import begin_take
+from nearfield_server.recording.folder import begin_take, camera_entries
 from nearfield_server.recording.light_link import LightLink
 from nearfield_server.recording.recorder import SYNC_PERIOD_S, FrameWriter, Recorder
 from nearfield_server.recording.snapshot import resolve_room, write_snapshot
@@ -206,9 +206,10 @@ def main(worker: Worker) -> None:
     room = load_room(worker.spec.room_path)
     room = resolve_room(room, options, worker.wait_for_control(20.0))
     try:
-        manifest, take = begin_take(folder, options["kind"], room)
+        # The room first: a folder that says it is a recording can be served.
         if not (folder / ROOM_FILE).is_file():
-            write_snapshot(folder, room, tuple(camera.camera_id for camera in manifest.cameras))
+            write_snapshot(folder, room, tuple(entry.camera_id for entry in camera_entries(room)))
+        manifest, take = begin_take(folder, options["kind"], room)
         writer = make_writer(folder, manifest, take.number)
         guard = SpaceGuard(folder, options.get("reserve_bytes"))
     except OSError as error:

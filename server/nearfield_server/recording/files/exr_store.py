@@ -184,10 +184,10 @@ def read_exr_frame(frame: ExrFrame, camera: CameraEntry) -> NDArray[np.float16]:
             f"{frame.path}: {size[1]} x {size[0]} pixels, expected {camera.width} x {camera.height}"
         )
     try:
-        channels = OpenEXR.File(str(frame.path)).channels()
-        pixels = channels["RGBA"].pixels
-    except (RuntimeError, ValueError, KeyError) as error:
+        channel = OpenEXR.File(str(frame.path)).channels().get("RGBA")
+    except (RuntimeError, ValueError) as error:
         raise AssetError(f"{frame.path}: pixels cannot be read, the file is damaged ({error})") from error
+    pixels = None if channel is None else channel.pixels
     if pixels is None or pixels.dtype != np.float16 or pixels.shape != (*size, 4):
         raise AssetError(f"{frame.path}: expected half-float channels R, G, B, A")
     return np.ascontiguousarray(pixels)
