@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import signal
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -396,10 +398,10 @@ def test_a_service_is_lit_by_another_machine_and_says_when_it_is_cut_off(
     service = Service(tmp_path / "service.log", room=folder)
     nodes: list[Process] = []
     try:
-        service.running()
         for index, node in enumerate(("window", "door")):
             path = write_node(folder, node, index)
             nodes.append(host.start(tmp_path / f"{node}.log", "capture", str(path)))
+        service.running()
         for camera in ("cam0", "cam1"):
             service.status(camera, connected=True, fault="")
         service.packet_after(time.monotonic())
@@ -412,6 +414,12 @@ def test_a_service_is_lit_by_another_machine_and_says_when_it_is_cut_off(
         for camera in ("cam0", "cam1"):
             service.status(camera, connected=True, fault="")
         service.status("illumination", stale=False)
+        # The process through which they come in dies and is started again; so do the connections.
+        failures = {camera: service.status(camera)["failures"] for camera in ("cam0", "cam1")}
+        os.kill(service.pid("remote"), signal.SIGKILL)
+        for camera, before in failures.items():
+            service.wait("a failure", lambda c=camera, b=before: service.status(c)["failures"] > b)  # type: ignore[misc]
+            service.status(camera, connected=True, fault="")
     finally:
         host.mend()
         for process in nodes:

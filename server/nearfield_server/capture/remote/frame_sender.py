@@ -38,7 +38,6 @@ class FrameSender:
     tiles_sent: int = 0
     _arrived: int = 0
     _sent_revision: int = 0
-    _sent_base: int = 0
     _sent_ns: int = 0
     _confirmed_ns: int = 0
 
@@ -57,12 +56,13 @@ class FrameSender:
             The message; None if there is nothing to say, or if the ring's writer overtook the reading.
         """
         base = self._arrived if self.tiles_only else 0
-        # A message on its way is not repeated before its acknowledgement can be back.
-        under_way = self._sent_revision == view.content_revision and now_ns - self._sent_ns < _RESEND_NS
-        if self._arrived == view.content_revision or under_way:
+        # A message on its way is not repeated before its acknowledgement can be back, nor overtaken by a confirmation of it.
+        if self._arrived == view.content_revision:
             if view.confirmed_ns == self._confirmed_ns:
                 return None
             base = view.content_revision
+        elif self._sent_revision == view.content_revision and now_ns - self._sent_ns < _RESEND_NS:
+            return None
         tiles = view.tile_revisions > base
         header = FrameHeader(
             width=view.pixels.shape[1],
@@ -85,5 +85,5 @@ class FrameSender:
             return message
         self.frames += 1
         self.tiles_sent += int(np.count_nonzero(tiles))
-        self._sent_revision, self._sent_base, self._sent_ns = view.content_revision, base, now_ns
+        self._sent_revision, self._sent_ns = view.content_revision, now_ns
         return message

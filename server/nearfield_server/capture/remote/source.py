@@ -94,7 +94,7 @@ class RemoteSource:
         self._period_s = 1.0 / camera.frame_rate
         self._fresh_ns: int | None = None
         self._watch_from_ns = 0
-        self._refused, self._skipped, self._taken, self._bytes = 0, 0, 0, 0
+        self._refused, self._replaced, self._taken, self._bytes = 0, 0, 0, 0
         self._refusal = ""
 
     def open(self) -> None:
@@ -243,7 +243,7 @@ class RemoteSource:
 
     def _take_frame(self, payload: Any) -> None:
         with self._lock:
-            self._skipped += self._newest is not None
+            self._replaced += self._newest is not None
             self._newest = payload
         self._something.set()
 
@@ -269,7 +269,7 @@ class RemoteSource:
         """Describe the camera for the status page."""
         with self._lock:
             answer, offset = self._answer, self._clock.offset(self._clock_ns())
-            is_there, skipped = self._is_there, self._skipped
+            is_there, replaced = self._is_there, self._replaced
         source = answer.source if answer is not None else {}
         described = {key: _plain(source[key]) for key in _PASSED_ON if key in source}
         warnings = source.get("warnings", [])
@@ -286,8 +286,9 @@ class RemoteSource:
             "joined": is_there,
             "node_source": str(source.get("kind", ""))[:40],
             "frames_taken": self._taken,
-            "frames_skipped": skipped,
-            "frames_lost": self._picture.missed,
+            "frames_replaced": replaced,
+            "frames_lost": self._picture.missed + _count(source.get("frames_lost")),
+            "frames_broken": self._refused + _count(source.get("frames_broken")),
             "frames_refused": self._refused,
             "bytes_received": self._bytes,
             "clock_error_ms": -1.0 if offset is None else round(offset[1] * 1e-6, 3),
@@ -298,6 +299,11 @@ class RemoteSource:
 
 def _as_list(value: Any) -> list[Any]:
     return value if isinstance(value, list) else []
+
+
+def _count(value: Any) -> int:
+    """A count of the node; 0 where it tells none."""
+    return value if isinstance(value, int) and not isinstance(value, bool) and value > 0 else 0
 
 
 def _plain(value: Any) -> Any:
