@@ -17,6 +17,7 @@ A USB3 Vision camera is judged after libaravis has parsed its description, befor
 
 from __future__ import annotations
 
+import functools
 import io
 import re
 import zipfile
@@ -31,10 +32,11 @@ from nearfield_server.errors import CaptureError
 
 LARGEST_ARCHIVE_BYTES: Final = 8 << 20
 LARGEST_XML_BYTES: Final = 32 << 20
-MOST_ELEMENTS: Final = 1_000_000
+MOST_ELEMENTS: Final = 500_000
 DEEPEST_NESTING: Final = 64
 LONGEST_CHAIN: Final = 200
 MOST_READS: Final = 20_000
+_LONGEST_FETCH_S: Final = 20.0
 LONGEST_FORMULA: Final = 8192
 LARGEST_REGISTER_BYTES: Final = 1 << 20
 
@@ -45,7 +47,9 @@ _VALUE_LINKS: Final = frozenset(
 _NO_NODES: Final = frozenset({"pVariable", "Constant", "Expression"})  # their attribute Name is local
 _TEXTS: Final = _VALUE_LINKS | {"Formula", "FormulaTo", "FormulaFrom", "Expression", "Length"}
 _ENCODINGS: Final = (None, "utf-8", "us-ascii", "iso-8859-1")
-_URL: Final = re.compile(r"local:(?:///)?([^;]{1,256});([0-9a-f]{1,16});([0-9a-f]{1,16})(?:\?.*)?", re.I)
+_URL: Final = re.compile(
+    r"local:(?:///)?([^;]{1,256});([0-9a-f]{1,16});([0-9a-f]{1,16})(?:\?SchemaVersion=[\d.]+)?", re.I
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -71,7 +75,7 @@ def fetch_genicam(channel: ControlChannel) -> bytes:
     """
     raw = channel.read_memory(REGISTER_XML_URL, XML_URL_BYTES).split(b"\0", 1)[0]
     name, address, num_bytes = parse_genicam_url(raw)
-    content = channel.read_memory(address, num_bytes)
+    content = channel.read_memory(address, num_bytes, limit_s=_LONGEST_FETCH_S)
     return unpack_genicam(content) if name.lower().endswith(".zip") else content
 
 
@@ -100,28 +104,34 @@ def parse_genicam_url(raw: bytes) -> tuple[str, int, int]:
 def unpack_genicam(archive: bytes) -> bytes:
     """The one file in a zip archive; raises CaptureError if the archive is damaged or its content too large."""
     try:
-        with zipfile.ZipFile(io.BytesIO(archive)) as opened:
-            files = opened.infolist()
-            if len(files) != 1 or files[0].file_size > LARGEST_XML_BYTES:
-                sizes = [file.file_size for file in files[:4]]
-                raise CaptureError(
-                    f"expected one file of at most {LARGEST_XML_BYTES} bytes in the archive, found {len(files)} of {sizes}"
-                )
-            with opened.open(files[0]) as file:
-                content = file.read(LARGEST_XML_BYTES + 1)
-    except (zipfile.BadZipFile, NotImplementedError, RuntimeError, EOFError, OSError, ValueError) as error:
+        sizes, content = _unzip(archive)
+    except (
+        Exception
+    ) as error:  # zipfile raises half a dozen kinds for damaged archives, without a common base
         raise CaptureError(
-            f"the archive with the camera's description is damaged: {printable(str(error))}"
+            f"the archive with the camera's description is damaged: {printable(str(error)) or type(error).__name__}"
         ) from error
-    except Exception as error:  # zlib.error and struct.error of damaged archives have no common base
+    if len(sizes) != 1 or sizes[0] > LARGEST_XML_BYTES:
         raise CaptureError(
-            f"the archive with the camera's description is damaged: {type(error).__name__}"
-        ) from error
-    if len(content) != files[0].file_size:
+            f"expected one file of at most {LARGEST_XML_BYTES} bytes in the archive with the camera's description, "
+            f"found {len(sizes)} of {sizes[:4]}"
+        )
+    if len(content) != sizes[0]:
         raise CaptureError("the archive with the camera's description holds another size than it says")
     return content
 
 
+def _unzip(archive: bytes) -> tuple[list[int], bytes]:
+    """Sizes of the files as the archive tells them, and the content of the first one up to the limit and a byte."""
+    with zipfile.ZipFile(io.BytesIO(archive)) as opened:
+        files = opened.infolist()
+        if not files:
+            return [], b""
+        with opened.open(files[0]) as file:
+            return [entry.file_size for entry in files], file.read(LARGEST_XML_BYTES + 1)
+
+
+@functools.lru_cache(maxsize=2)  # a camera that is opened again tells the same
 def check_genicam(xml: bytes) -> GenicamSummary:
     """Judge a description.
 
@@ -237,6 +247,8 @@ def _measure_values(links: dict[str, list[str]]) -> tuple[int, int]:
                     raise CaptureError(
                         f"the camera's description computes {printable(following, 64)} from itself; refused"
                     )
+                if len(stack) >= LONGEST_CHAIN:
+                    raise _too_much(following)
                 open_nodes.add(following)
                 stack.append((following, iter(links.get(following, ()))))
                 continue
@@ -246,8 +258,12 @@ def _measure_values(links: dict[str, list[str]]) -> tuple[int, int]:
             chain[name] = 1 + max((chain[other] for other in needed), default=0)
             reads[name] = min(1 + sum(reads[other] for other in needed), 2 * MOST_READS)
             if chain[name] > LONGEST_CHAIN or reads[name] > MOST_READS:
-                raise CaptureError(
-                    f"the camera's description computes {printable(name, 64)} over {chain[name]} levels and {reads[name]} values or more; "
-                    f"expected at most {LONGEST_CHAIN} and {MOST_READS}"
-                )
+                raise _too_much(name)
     return max(chain.values(), default=0), max(reads.values(), default=0)
+
+
+def _too_much(name: str) -> CaptureError:
+    return CaptureError(
+        f"expected the camera's description to compute a value over at most {LONGEST_CHAIN} levels and {MOST_READS} other values; "
+        f"{printable(name, 64)} takes more"
+    )

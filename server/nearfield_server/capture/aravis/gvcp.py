@@ -204,10 +204,19 @@ class ControlChannel:
             )
         return int.from_bytes(reply, "big")
 
-    def read_memory(self, start: int, num_bytes: int) -> bytes:
-        """Read memory in pieces; `start` must be divisible by 4; raises CaptureError."""
+    def read_memory(self, start: int, num_bytes: int, limit_s: float = 5.0) -> bytes:
+        """Read memory in pieces; `start` must be divisible by 4.
+
+        Raises:
+            CaptureError: no or a wrong answer, or not all of it within `limit_s` seconds.
+        """
         pieces = []
+        until_s = time.monotonic() + limit_s
         for offset in range(0, num_bytes, LARGEST_READ_BYTES):
+            if time.monotonic() > until_s:
+                raise CaptureError(
+                    f"camera at {self.address}: {num_bytes} bytes of memory took more than {limit_s:g} s"
+                )
             count = min(LARGEST_READ_BYTES, (num_bytes - offset + 3) // 4 * 4)
             reply = self._ask(READ_MEMORY, struct.pack(">IHH", start + offset, 0, count))
             if len(reply) != 4 + count or int.from_bytes(reply[:4], "big") != start + offset:
