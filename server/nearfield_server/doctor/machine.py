@@ -207,4 +207,4 @@ class ThisMachine:
             return () if camera is None else tuple(choice.name for choice in camera.formats)
         if source.address is None:
             return inspect_usb(str(source.serial)).pixel_formats
-        return inspect_gige(str(source.address), ask_camera(str(source.address)).own_address).pixel_formats
+        return inspect_gige(str(source.address)).pixel_formats

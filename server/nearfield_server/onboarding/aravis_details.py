@@ -5,57 +5,43 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Iterator
 
+from nearfield_server.capture.aravis.connection import Connection, open_gige, open_usb
+from nearfield_server.capture.aravis.discovery import find_by_serial
 from nearfield_server.capture.aravis.library import Aravis, AravisError, load
-from nearfield_server.errors import CaptureError
 from nearfield_server.onboarding.connected import Details
 
 
-def inspect_gige(address: str, own_address: str) -> Details:
+def inspect_gige(address: str) -> Details:
     """Read what the camera at an address offers; it is controlled for that moment, if it is free.
 
     Args:
         address: IPv4 address of the camera.
-        own_address: IPv4 address of this machine on the interface towards it.
 
     Raises:
-        CaptureError: libaravis is missing, or the camera does not answer.
+        CaptureError: libaravis is missing, the camera does not answer, or its description is refused.
     """
     aravis = load()
-    host, camera = (aravis.c.g_inet_address_new_from_string(text.encode()) for text in (own_address, address))
-    if host is None or camera is None:
-        aravis.unref(host)
-        aravis.unref(camera)
-        raise CaptureError(
-            f"camera {address}: expected IPv4 addresses, found {own_address!r} and {address!r}"
-        )
-    try:
-        device = aravis.c.arv_gv_device_new(host, camera)
-    finally:
-        aravis.unref(host)
-        aravis.unref(camera)
-    with _closing(aravis, device, address) as opened:
-        return _read(aravis, opened, is_controlled=not aravis.c.arv_gv_device_is_controller(opened))
+    with _closing(aravis, open_gige(aravis, address)) as opened:
+        return _read(aravis, opened.device, is_controlled=not opened.is_controller)
 
 
 def inspect_usb(serial: str) -> Details:
     """Read what the USB3 Vision camera with a serial number offers.
 
     Raises:
-        CaptureError: libaravis is missing, there is no such camera, or this user may not use it.
+        CaptureError: libaravis is missing, there is no such camera, this user may not use it, or its description is refused.
     """
     aravis = load()
-    with _closing(aravis, aravis.c.arv_uv_device_new(None, None, serial.encode()), serial) as opened:
-        return _read(aravis, opened, is_controlled=False)
+    with _closing(aravis, open_usb(aravis, find_by_serial(serial, None))) as opened:
+        return _read(aravis, opened.device, is_controlled=False)
 
 
 @contextlib.contextmanager
-def _closing(aravis: Aravis, device: int | None, name: str) -> Iterator[int]:
-    if device is None:
-        raise CaptureError(f"camera {name}: libaravis cannot open it")
+def _closing(aravis: Aravis, connection: Connection) -> Iterator[Connection]:
     try:
-        yield device
+        yield connection
     finally:
-        aravis.unref(device)
+        aravis.unref(connection.device)
 
 
 def _read(aravis: Aravis, device: int, *, is_controlled: bool) -> Details:

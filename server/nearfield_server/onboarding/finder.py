@@ -57,7 +57,7 @@ class ThisMachinesFinder:
         """See `Finder`."""
         if camera.kind == USB3:
             return inspect_usb(camera.place)
-        return inspect_gige(camera.place, ask_camera(camera.place).own_address)
+        return inspect_gige(camera.place)
 
 
 def from_gige(camera: FoundCamera, interface: str = "") -> Connected:

@@ -23,12 +23,14 @@ class Connection:
         camera: what it says of itself.
         names: of all nodes of its description.
         ticks_per_s: of its clock; 0 if it has none.
+        is_controller: it obeys us; false if another program controls it.
     """
 
     device: int
     camera: FoundCamera
     names: frozenset[str]
     ticks_per_s: int
+    is_controller: bool
 
 
 def connect(aravis: Aravis, table: AravisSourceTable, where: str) -> Connection:
@@ -43,17 +45,28 @@ def connect(aravis: Aravis, table: AravisSourceTable, where: str) -> Connection:
         CaptureError: it does not answer, its description is refused, or another program controls it.
     """
     try:
-        if table.address is not None:
-            return _connect_gige(aravis, str(table.address), where)
-        camera = find_by_serial(str(table.serial), table.interface)
-        if camera.kind == "gige":
-            return _connect_gige(aravis, camera.address, where)
-        return _connect_usb(aravis, camera)
+        camera = None if table.address is not None else find_by_serial(str(table.serial), table.interface)
+        if camera is not None and camera.kind == "usb3":
+            return open_usb(aravis, camera)
+        address = str(table.address) if camera is None else camera.address
+        connection = open_gige(aravis, address)
+        if not connection.is_controller:
+            release_later(aravis, [connection.device])
+            raise CaptureError(
+                f"another program controls the camera at {address}; end it (the camera gives up a program that died "
+                "some seconds after it last heard from it)"
+            )
+        return connection
     except CaptureError as error:
         raise CaptureError(f"{where}: {error}") from error
 
 
-def _connect_gige(aravis: Aravis, address: str, where: str) -> Connection:
+def open_gige(aravis: Aravis, address: str) -> Connection:
+    """Open the GigE Vision camera at an address; takes control of it if nobody else has it. Only that address is sent anything.
+
+    Raises:
+        CaptureError: it does not answer, or its description is refused.
+    """
     with ControlChannel(address) as channel:
         camera = channel.describe()
         xml = fetch_genicam(channel)
@@ -72,12 +85,6 @@ def _connect_gige(aravis: Aravis, address: str, where: str) -> Connection:
         aravis.unref(remote)
     if device is None:
         raise CaptureError(f"the camera at {address} cannot be opened: libaravis does not say why")
-    if not aravis.c.arv_gv_device_is_controller(device):
-        release_later(aravis, [device])
-        raise CaptureError(
-            f"another program controls the camera at {address}; end it (the camera gives up a program that died "
-            "some seconds after it last heard from it)"
-        )
     if _description(aravis, device) != xml:
         release_later(aravis, [device])
         raise CaptureError(
@@ -87,10 +94,21 @@ def _connect_gige(aravis: Aravis, address: str, where: str) -> Connection:
         ticks_per_s = aravis.c.arv_gv_device_get_timestamp_tick_frequency(device)
     except AravisError:
         ticks_per_s = 0
-    return Connection(device=device, camera=camera, names=names, ticks_per_s=ticks_per_s)
+    return Connection(
+        device=device,
+        camera=camera,
+        names=names,
+        ticks_per_s=ticks_per_s,
+        is_controller=aravis.c.arv_gv_device_is_controller(device),
+    )
 
 
-def _connect_usb(aravis: Aravis, camera: FoundCamera) -> Connection:
+def open_usb(aravis: Aravis, camera: FoundCamera) -> Connection:
+    """Open a USB3 Vision camera that `list_usb_cameras` found.
+
+    Raises:
+        CaptureError: it cannot be opened, or its description is refused.
+    """
     try:
         device = aravis.c.arv_uv_device_new(
             camera.vendor.encode(), camera.model.encode(), camera.serial.encode()
@@ -106,7 +124,9 @@ def _connect_usb(aravis: Aravis, camera: FoundCamera) -> Connection:
     except CaptureError:
         release_later(aravis, [device])
         raise
-    return Connection(device=device, camera=camera, names=names, ticks_per_s=1_000_000_000)
+    return Connection(
+        device=device, camera=camera, names=names, ticks_per_s=1_000_000_000, is_controller=True
+    )
 
 
 def _description(aravis: Aravis, device: int) -> bytes:

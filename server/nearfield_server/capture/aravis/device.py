@@ -38,7 +38,10 @@ _Result = TypeVar("_Result")
 _CLOSE_S: Final = 0.7
 _CONTROL_CHECK_S: Final = 0.2
 _HEALTH_PERIOD_S: Final = 5.0
-_HEARTBEAT_MS: Final = 2000  # libaravis shows that it lives once a second
+_HEARTBEAT_MS: Final = (
+    2000  # libaravis shows that it lives once a second; a camera is free so soon after its program died
+)
+_REGISTER_HEARTBEAT: Final = 0x0938  # GigE Vision 2.0, 28: heartbeat timeout, ms
 
 
 @dataclass(slots=True)
@@ -229,8 +232,9 @@ class AravisDevice:
     def _configure(self, aravis: Aravis, opened: _Opened) -> DeviceCapabilities:
         features, table, connection = opened.features, self._table, opened.connection
         is_gige = connection.camera.kind == "gige"
-        if is_gige:
-            features.set_if_possible("GevHeartbeatTimeout", _HEARTBEAT_MS)
+        if is_gige and not features.set_if_possible("GevHeartbeatTimeout", _HEARTBEAT_MS):
+            with contextlib.suppress(AravisError):
+                aravis.c.arv_device_write_register(connection.device, _REGISTER_HEARTBEAT, _HEARTBEAT_MS)
         if opened.sequencer.is_offered:
             opened.sequencer.stop()
         self._warnings = apply_settings(

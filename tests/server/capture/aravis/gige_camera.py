@@ -151,6 +151,7 @@ class GigeCamera:
         is_lost: (picture, packet) -> whether this packet is not sent; packet 0 is the leader.
         sent_format, sent_size, payload_type: what leaders say, where it shall be something else than what was set.
         writes: names of the features that were written, in order.
+        broadcasts: packets heard that were addressed to everybody.
     """
 
     def __init__(
@@ -167,6 +168,7 @@ class GigeCamera:
         self.sent_size: tuple[int, int] | None = None
         self.payload_type = 1
         self.writes: list[str] = []
+        self.broadcasts = 0
         self.controller: tuple[str, int] | None = None
         self._heard_s = 0.0
         self._lock = threading.RLock()
@@ -237,6 +239,7 @@ class GigeCamera:
             ready, _, _ = select.select([self._control, self._broadcasts], [], [], 0.02)
             for channel in ready:
                 packet, sender = channel.recvfrom(2048)
+                self.broadcasts += channel is self._broadcasts
                 if self.is_answering and len(packet) >= 8:
                     self._reply(packet, sender)
 

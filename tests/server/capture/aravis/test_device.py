@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import math
+import shutil
+import socket
+import subprocess
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -24,7 +27,8 @@ from tests.server.capture.aravis.gige_camera import (
 
 from nearfield_server.capture.aravis import connection, device, health, receive_buffer, stream
 from nearfield_server.capture.aravis.device import AravisDevice
-from nearfield_server.capture.aravis.discovery import find_by_serial, list_cameras
+from nearfield_server.capture.aravis.discovery import find_by_serial, list_cameras, list_usb_cameras
+from nearfield_server.capture.aravis.gvcp import discovery_command
 from nearfield_server.capture.device import DeviceCapabilities, Exposure, SensorFrame
 from nearfield_server.errors import CaptureError
 from nearfield_server.scene.device_schema import AravisSourceTable
@@ -540,8 +544,40 @@ def test_a_failed_opening_gives_the_camera_back(camera: GigeCamera, address: str
 # Strangers
 
 
+def test_opening_by_address_asks_nobody_else(camera: GigeCamera, address: str) -> None:
+    with Opened(table(address)) as opened:
+        take(opened, 1)
+    assert camera.broadcasts == 0
+    list_cameras("lo", 0.1)
+    assert camera.broadcasts > 0  # it would have heard
+
+
+def test_no_other_interface_hears_the_search(address: str) -> None:
+    ip = shutil.which("ip") or "/usr/sbin/ip"
+    for words in (
+        "link add searched type veth peer name listener",
+        "address add 10.209.0.1/24 dev searched",
+        "link set searched up",
+        "link set listener up",
+    ):
+        subprocess.run([ip, *words.split()], check=True)
+    try:
+        with socket.socket(socket.AF_PACKET, socket.SOCK_DGRAM, socket.htons(0x0800)) as cable:  # IPv4 alone
+            cable.bind(("listener", 0x0800))
+            cable.settimeout(0.3)
+            list_cameras("lo", 0.2)
+            list_usb_cameras()
+            with pytest.raises(TimeoutError):
+                cable.recv(2048)
+            assert list_cameras("searched", 0.2) == []
+            heard = cable.recv(2048)  # the question itself: it would have been heard
+            assert heard.endswith(discovery_command())
+            assert heard[16:20] == b"\xff\xff\xff\xff"
+    finally:
+        subprocess.run([ip, "link", "delete", "searched"], check=True)
+
+
 def test_cameras_are_found_by_serial_on_the_named_interface(camera: GigeCamera, address: str) -> None:
-    assert address in [found.address for found in list_cameras("lo", 0.2)]
     assert find_by_serial(address, "lo").model == "T100"
     settings = AravisSourceTable.model_validate(
         {
