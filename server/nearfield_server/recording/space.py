@@ -107,7 +107,7 @@ class SpaceGuard:
             if now_s - self._looked_s >= _LOOK_EVERY_S or self._since_look >= _LOOK_EVERY_BYTES:
                 self._space = self._look_at(self._folder)
                 self._looked_s, self._since_look = now_s, 0
-            return self._space.free - self._since_look
+            return max(0, self._space.free - self._since_look)
 
     def is_low(self, now_s: float, bytes_per_second: float) -> bool:
         """Whether it is time to stop."""

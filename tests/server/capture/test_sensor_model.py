@@ -52,6 +52,25 @@ def test_noise_is_a_function_of_seed_and_frame() -> None:
     assert (first != simulate_sensor(picture, other, 5)[0]).any()
 
 
+def test_noise_is_normal_and_independent_between_pixels_channels_and_frames() -> None:
+    """Fourth moment and correlations, within five standard deviations of their estimates."""
+    count = 150_000
+    frames = [
+        simulate_sensor(np.full((1, count, 3), 5.0, np.float32), SENSOR, frame)[0][0].astype(np.float64)
+        for frame in (0, 1)
+    ]
+    first, second = [(frame - frame.mean()) / frame.std() for frame in frames]
+    assert abs((first**4).mean() - 3.0) < 5 * np.sqrt(96 / first.size)
+    assert abs((first**3).mean()) < 5 * np.sqrt(15 / first.size)
+    limit = 5 / np.sqrt(count)
+    for lag in (1, 2, 32, 1024):
+        assert abs((first[lag:] * first[:-lag]).mean(axis=0)).max() < limit * 1.02
+    for left, right in ((0, 1), (0, 2), (1, 2)):
+        assert abs((first[:, left] * first[:, right]).mean()) < limit
+        assert abs((first[:, left] ** 2 * first[:, right] ** 2).mean() - 1.0) < 2 * limit
+    assert abs((first * second).mean(axis=0)).max() < limit
+
+
 @pytest.mark.parametrize(
     "wrong",
     [
