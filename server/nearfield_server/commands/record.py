@@ -174,7 +174,7 @@ def _follow(service: RunningService, seconds: float | None, console: Console) ->
             if not recording and status["restarts"] > 2:
                 return f"the recorder does not start: {status['last_fault']}"
             if recording.get("state") == "stopped":
-                return str(recording["warnings"][0])
+                return str(recording["warning"])
             elapsed_s = float(recording.get("elapsed_s", 0.0))
             progress.update(task, completed=min(elapsed_s, seconds or elapsed_s), numbers=_numbers(recording))
             if seconds is not None and elapsed_s >= seconds:
@@ -187,10 +187,10 @@ def _numbers(recording: dict[str, Any]) -> str:
     if not recording:
         return "starting"
     minutes = recording["minutes_left"]
-    lost = recording["frames_dropped"] + recording["frames_missed"]
+    lost = recording["frames_dropped"]
     return (
         f"{recording['frames_written']} frames, {lost} lost, {recording['bytes_written'] / 1e6:.0f} MB, "
-        f"{recording['mb_per_s']:.0f} MB/s, {recording['queue_mb']:.0f} MB wait, "
+        f"{recording['megabytes_per_s']:.0f} MB/s, {recording['queue_mb']:.0f} MB wait, "
         f"{recording['free_mb'] / 1e3:.1f} GB free" + ("" if minutes is None else f" ({minutes:.0f} min)")
     )
 
@@ -212,5 +212,5 @@ def _wait_for_end(service: RunningService, console: Console) -> None:
     recording = status["recording"]
     if recording:
         console.print(f"{recording['folder']}: {_numbers(recording)}", highlight=False, soft_wrap=True)
-        for warning in recording["warnings"]:
-            console.print(warning, highlight=False, soft_wrap=True, style="yellow")
+        if recording["warning"]:
+            console.print(recording["warning"], highlight=False, soft_wrap=True, style="yellow")

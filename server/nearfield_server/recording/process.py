@@ -133,23 +133,22 @@ class RecordingRun:
 
     def _beat(self, now_s: float) -> None:
         status = self._recorder.status(now_s)
-        dropped = status["frames_dropped"] + status["frames_missed"]
         warnings = [self._recorder.fault] if self._recorder.fault else []
-        if dropped:
-            warnings.append(f"{dropped} frames were not recorded: the disk or the processor is too slow")
+        if status["frames_dropped"]:
+            warnings.append(
+                f"{status['frames_dropped']} frames were not recorded: the disk or the processor is too slow"
+            )
         self._worker.beat(
             fault=self._recorder.fault,
-            recording={
-                "state": self._state,
-                "folder": str(self._folder),
-                "kind": self._manifest.kind,
-                "take": self._take.number,
-                "elapsed_s": round(now_s - self._started_s, 2),
-                "light_updates": self._light.updates,
-                "light_packets": self._light.packets,
-                "warnings": warnings,
-                **status,
-            },
+            state=self._state,
+            folder=str(self._folder),
+            kind=self._manifest.kind,
+            take=self._take.number,
+            elapsed_s=round(now_s - self._started_s, 2),
+            light_updates=self._light.updates,
+            light_packets=self._light.packets,
+            warning="; ".join(warnings),
+            **status,
         )
 
     def _finish(self, patience_s: float) -> None:

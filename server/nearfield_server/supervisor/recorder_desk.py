@@ -80,7 +80,7 @@ class RecorderDesk:
         if self._finish_by_s is None:
             child.watch(now_s)
             return
-        if child.status.get("recording", {}).get("state") == "ended":
+        if child.status.get("state") == "ended":
             child.terminate()
         if child.has_ended():
             self._let_go(child)
@@ -99,10 +99,15 @@ class RecorderDesk:
             "restarts": child.restarts,
             "last_fault": child.last_fault,
             "phase": child.status.get("phase", "starting"),
-            "recording": child.status.get("recording", {}),
+            "recording": _recording(child),
         }
 
     def _let_go(self, child: Child) -> None:
-        self.last = child.status.get("recording", {})
+        self.last = _recording(child)
         child.finish(0.0)
         self.child, self._finish_by_s = None, None
+
+
+def _recording(child: Child) -> dict[str, Any]:
+    """The newest numbers of a recorder, none before it has begun."""
+    return child.status if "state" in child.status else {}

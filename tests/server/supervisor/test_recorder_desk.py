@@ -63,14 +63,14 @@ def test_a_recording_from_start_to_end(tmp_path: Path) -> None:
     assert child.calls == ["start", "watch"]
     with pytest.raises(ServiceError, match="running already"):
         desk.start({"folder": str(tmp_path / "s"), "kind": "raw"}, 0.0)
-    child.status = {"phase": "running", "recording": {"state": "recording", "frames_written": 5}}
+    child.status = {"phase": "running", "state": "recording", "frames_written": 5}
     assert desk.report()["recording"]["frames_written"] == 5
     desk.finish(2.0)
     desk.finish(2.1)
     assert office.asked == 1
     desk.watch(3.0)
     assert desk.child is not None  # it still writes
-    child.status = {"recording": {"state": "ended", "frames_written": 7}}
+    child.status = {"state": "ended", "frames_written": 7}
     desk.watch(4.0)
     assert desk.child is None
     assert "terminate" in child.calls
