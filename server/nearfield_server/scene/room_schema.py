@@ -65,7 +65,15 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    ValidationError,
+    model_validator,
+)
 
 from nearfield_calibration.fisheye import check_intrinsics
 from nearfield_calibration.models import FisheyeIntrinsics
@@ -81,9 +89,19 @@ Finite = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Unit = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
+
+
+def _port_exists(address: str) -> str:
+    if int(address.rpartition(":")[2]) > 65535:
+        raise ValueError("expected a port of at most 65535")
+    return address
+
+
 # Host name or IPv4 address, or IPv6 address in brackets, and a port.
 Address = Annotated[
-    str, Field(pattern=r"^([A-Za-z0-9]([A-Za-z0-9.-]{0,252})|\[[0-9A-Fa-f:.]{2,45}\]):[1-9][0-9]{0,4}$")
+    str,
+    Field(pattern=r"^([A-Za-z0-9]([A-Za-z0-9.-]{0,252})|\[[0-9A-Fa-f:.]{2,45}\]):[1-9][0-9]{0,4}$"),
+    AfterValidator(_port_exists),
 ]
 Side = Annotated[int, Field(ge=1, le=16384, strict=True)]
 

@@ -164,17 +164,18 @@ class RemoteSource:
         self._wished_ns = 0  # acknowledges, or asks for what is missing
         if header is None:
             return None
-        self._refusal = ""
         if header.session != session:
             self._clock.clear()  # the node has restarted, perhaps its machine too
             self._confirmed_ns = 0
+        offset = self._clock.offset(now_ns)
+        if offset is None:  # for a moment only, unless the node never answers
+            self._refusal = "frames, but no answers to questions about its clock"
+            return None
+        self._refusal = ""
         if header.confirmed_ns > self._confirmed_ns:
             self._confirmed_ns, self._fresh_ns = header.confirmed_ns, now_ns
         self._period_s = min(max(header.period_us * 1e-6, 1e-3), 2.0)
         self._taken += 1
-        offset = self._clock.offset(now_ns)
-        if offset is None:
-            return None
         is_new = header.base != header.revision
         captured_ns = header.timestamp_ns if is_new else header.confirmed_ns
         return RawFrame(
