@@ -199,17 +199,22 @@ def test_a_node_that_starts_anew_replaces_the_picture() -> None:
 def test_a_picture_that_missed_something_stays_as_it_is() -> None:
     node, picture, other = Node(), RemotePicture(HEIGHT, WIDTH), RemotePicture(HEIGHT, WIDTH)
     try:
-        node.change(0, 0, 1.0)
-        message = node.send()
-        assert message is not None
-        other.take(message)
+        for turn, takers in enumerate(((picture, other), (other,))):
+            node.change(0, 0, 1.0 + turn)
+            message = node.send()
+            assert message is not None
+            for taker in takers:
+                assert taker.take(message) is not None
+        before = _words(picture).copy()
         node.sender.acknowledge(_wish(other))
-        node.change(60, 60, 2.0)
+        node.change(60, 60, 3.0)
         message = node.send()
         assert message is not None
         assert picture.take(message) is None
-        assert (picture.missed, picture.revision) == (1, 0)
-        assert not _words(picture).any()
+        assert (picture.missed, picture.content_revision) == (1, 1)
+        assert np.array_equal(_words(picture), before)
+        assert other.take(message) is not None
+        assert np.array_equal(_words(other), node.newest)
         with pytest.raises(CaptureError):
             other.take(message[:-1])
     finally:
