@@ -20,10 +20,10 @@ CLIENT_SOURCES := $(shell find client_web/src client_web/index.html client_web/s
 	client_web/vite.config.ts client_web/tsconfig.json
 
 .DEFAULT_GOAL := help
-.PHONY: help setup debian demo test test-cameras bench lint unit lock clean
+.PHONY: help setup debian demo test test-cameras test-v4l2 bench lint unit lock clean
 
 help:  ## show this list
-	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
+	@grep -hE '^[a-z0-9-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
 
 setup: debian $(PYTHON_STAMP) $(CLIENT_BUILD) $(BENCH_BUILD)  ## install and build everything into .venv and client_web
 
@@ -78,6 +78,9 @@ unit: $(PYTHON_STAMP) $(CLIENT_BUILD) $(BENCH_BUILD)  ## unit, service and brows
 
 test-cameras: setup  ## all tests of cameras and their faults alone, in a network namespace with only loopback
 	MALLOC_PERTURB_=165 $(BIN)/python -m pytest -m cameras
+
+test-v4l2: $(PYTHON_STAMP)  ## V4L2 tests against the kernel's virtual cameras: here, or in a virtual machine (downloads about 150 MB once)
+	tests/v4l2/run.sh
 
 lock: $(PYTHON_STAMP)  ## renew the lock files within the ranges of pyproject.toml and package.json
 	$(BIN)/uv pip compile --quiet --universal --python-version 3.11 --all-extras --generate-hashes --upgrade \

@@ -148,6 +148,10 @@ class V4l2Device:
             self.close()
             raise
         self._note_rate(rate)
+        if picture.is_rec709:
+            self._warnings.append(
+                "the camera mixes colours by BT.709, but they are read by BT.601: colours are off by some percent; take a raw format"
+            )
         self._facts = self._describe(self._session)
         return DeviceCapabilities(
             exposure_range_s=exposure_scale.range_s if exposure_scale else (made.time_s, made.time_s),
@@ -349,7 +353,7 @@ class V4l2Device:
         self._held[frame_id] = filled.index
         return SensorFrame(
             data=filled.data,
-            pixel_format=picture.format.pixel_format,
+            pixel_format=picture.pixel_format,
             width=picture.width,
             height=picture.height,
             row_bytes=picture.row_bytes,

@@ -34,7 +34,7 @@ class V4l2Format:
     Attributes:
         code: four characters, blanks included ("Y10 ").
         usual_name: V4L2_PIX_FMT_... without the prefix ("SRGGB12").
-        pixel_format: what `SensorFrame.pixel_format` says ("BayerRG12").
+        pixel_format: what `SensorFrame.pixel_format` says ("BayerRG12"); for YUYV and UYVY with luma from 16 to 235.
         bits_per_pixel: in memory; 0 for compressed pictures.
     """
 
@@ -67,6 +67,7 @@ def _all_formats() -> tuple[V4l2Format, ...]:
         V4l2Format("Y16 ", "Y16", "Mono16", 16),
         V4l2Format("Y10P", "Y10P", "Y10P", 10),
         V4l2Format("Y12P", "Y12P", "Y12P", 12),
+        V4l2Format("Y14P", "Y14P", "Y14P", 14),
         V4l2Format("RGB3", "RGB24", "RGB8", 24),
         V4l2Format("BGR3", "BGR24", "BGR8", 24),
         V4l2Format("YUYV", "YUYV", "YUYV", 16),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import errno
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -94,8 +94,18 @@ class FormatChoice:
         """What a room file calls it."""
         return self.known.usual_name if self.known else self.code.strip()
 
-    def __str__(self) -> str:
-        return f"{self.name} ({', '.join(map(str, self.sizes)) or 'sizes unknown'})"
+    @property
+    def sizes_in_words(self) -> str:
+        """The sizes of the format."""
+        return ", ".join(map(str, self.sizes)) or "sizes unknown"
+
+
+def describe_choices(choices: Iterable[FormatChoice]) -> str:
+    """List formats in words; those with the same sizes together: "GREY, SRGGB12 (640x480, 320x240); MJPEG (1280x720)"."""
+    names: dict[str, list[str]] = {}
+    for choice in choices:
+        names.setdefault(choice.sizes_in_words, []).append(choice.name)
+    return "; ".join(f"{', '.join(alike)} ({sizes})" for sizes, alike in names.items())
 
 
 def read_identity(node: VideoNode) -> Identity:

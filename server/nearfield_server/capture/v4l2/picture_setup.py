@@ -8,7 +8,7 @@ from fractions import Fraction
 
 from nearfield_server.capture.v4l2 import kernel_api as api
 from nearfield_server.capture.v4l2.formats import V4l2Format, code_of
-from nearfield_server.capture.v4l2.modes import list_formats
+from nearfield_server.capture.v4l2.modes import describe_choices, list_formats
 from nearfield_server.capture.v4l2.video_node import VideoNode
 from nearfield_server.errors import CaptureError
 
@@ -19,16 +19,23 @@ class Picture:
 
     Attributes:
         format: pixel format.
+        pixel_format: its name for `SensorFrame`, the range of luma included.
         width: pixels. height: pixels.
         row_bytes: from one row to the next, padding included; 0 for compressed pictures.
         least_bytes: a shorter picture is broken.
+        is_rec709: luma and chroma are mixed as in HD television; `imaging` reads them as BT.601, which shifts colours a little.
     """
 
     format: V4l2Format
+    pixel_format: str
     width: int
     height: int
     row_bytes: int
     least_bytes: int
+    is_rec709: bool = False
+
+
+_FULL_RANGE_NAMES = {"YUYV": "YUV422_8", "UYVY": "YUV422_8_UYVY"}
 
 
 def set_picture(
@@ -65,27 +72,39 @@ def set_picture(
             f"pixel_format {wanted.usual_name}: the device spreads a picture over {pix.num_planes} pieces of memory; "
             "expected one"
         )
-    row_bytes = int(pix.plane_fmt[0].bytesperline if is_planar else pix.bytesperline)
-    return _picture(wanted, width, height, row_bytes)
+    row_bytes = 0 if wanted.is_compressed else int((pix.plane_fmt[0] if is_planar else pix).bytesperline)
+    name, is_rec709 = wanted.pixel_format, False
+    if name in _FULL_RANGE_NAMES:
+        is_jpeg = pix.colorspace == api.COLORSPACE_JPEG
+        if pix.quantization == api.QUANTIZATION_FULL_RANGE or (
+            is_jpeg and pix.quantization == api.QUANTIZATION_DEFAULT
+        ):
+            name = _FULL_RANGE_NAMES[name]
+        is_rec709 = pix.ycbcr_enc == api.YCBCR_ENC_709 or (
+            pix.ycbcr_enc == api.YCBCR_ENC_DEFAULT and pix.colorspace == api.COLORSPACE_REC709
+        )
+    least_bytes = 4  # of a JPEG file
+    if not wanted.is_compressed:
+        row_bytes, least_bytes = _layout(wanted, width, height, row_bytes)
+    return Picture(wanted, name, width, height, row_bytes, least_bytes, is_rec709)
 
 
-def _picture(wanted: V4l2Format, width: int, height: int, row_bytes: int) -> Picture:
-    if wanted.is_compressed:
-        return Picture(wanted, width, height, 0, 4)
+def _layout(wanted: V4l2Format, width: int, height: int, row_bytes: int) -> tuple[int, int]:
+    """Bytes from row to row, and of a picture without padding after its last row."""
     needed = wanted.row_bytes(width)
     row_bytes = row_bytes or needed
     if row_bytes < needed:
         raise CaptureError(
             f"pixel_format {wanted.usual_name}: a row of {width} pixels takes {needed} bytes, but the driver says {row_bytes}"
         )
-    return Picture(wanted, width, height, row_bytes, row_bytes * (height - 1) + needed)
+    return row_bytes, row_bytes * (height - 1) + needed
 
 
 def _not_offered(
     node: VideoNode, buffer_type: api.BufferType, wanted: V4l2Format, width: int, height: int, found: str
 ) -> CaptureError:
     offered = list_formats(node, buffer_type)
-    usable = "; ".join(str(choice) for choice in offered if choice.known)
+    usable = describe_choices([choice for choice in offered if choice.known])
     others = ", ".join(choice.code.strip() for choice in offered if not choice.known)
     return CaptureError(
         f"expected {wanted.usual_name} at {width}x{height} (pixel_format, width and height of the room file), "

@@ -105,6 +105,7 @@ class ScriptedCamera:
         self.delay = delay
         self.field = int(api.Field.NONE)
         self.num_planes = 1
+        self.colour: dict[str, int] = {}  # fields of the format that tell how colours are coded
         self.driver = b"scripted"
         self.fewest_buffers = 2
         self.most_buffers = 32
@@ -361,6 +362,8 @@ class ScriptedNode:
         camera.format, camera.size = pix.pixelformat, nearest
         pix.width, pix.height = nearest
         pix.field = camera.field
+        for name, value in camera.colour.items():
+            setattr(pix, name, value)
         row = camera._bytes_per_line()
         if is_planar:
             pix.num_planes = camera.num_planes

@@ -185,12 +185,14 @@ def test_a_full_usb_bus_says_what_to_do() -> None:
 
 
 def test_a_size_or_format_that_is_not_there_lists_what_is() -> None:
-    camera = ScriptedCamera(formats={"GREY": [(64, 48), (32, 24)], "RG12": [(64, 48)], "H264": [(64, 48)]})
-    offers = r"It offers: GREY \(64x48, 32x24\); SRGGB12 \(64x48\); not readable: H264"
+    camera = ScriptedCamera(
+        formats={"GREY": [(64, 48), (32, 24)], "RG12": [(64, 48)], "YUYV": [(64, 48)], "H264": [(64, 48)]}
+    )
+    offers = r"It offers: GREY \(64x48, 32x24\); SRGGB12, YUYV \(64x48\); not readable: H264"
     with pytest.raises(CaptureError, match=rf"expected GREY at 60x40 .* takes GREY 64x48 instead\. {offers}"):
         device_of(camera, size=(60, 40)).open()
-    with pytest.raises(CaptureError, match=rf"expected YUYV at 64x48 .* takes GREY 64x48 instead\. {offers}"):
-        device_of(camera, pixel_format="YUYV").open()
+    with pytest.raises(CaptureError, match=rf"expected UYVY at 64x48 .* takes GREY 64x48 instead\. {offers}"):
+        device_of(camera, pixel_format="UYVY").open()
     assert camera.open_nodes == 0
 
 
@@ -284,6 +286,34 @@ def test_rows_keep_their_padding() -> None:
     frame = device.next_frame(WAIT_S)
     assert frame is not None
     assert (frame.pixel_format, frame.row_bytes, frame.data.size) == ("BayerRG12", 144, 144 * 48)
+
+
+@pytest.mark.parametrize(
+    ("colour", "name"),
+    [
+        ({}, "YUYV"),  # limited range is the default of YCbCr formats
+        ({"colorspace": api.COLORSPACE_JPEG}, "YUV422_8"),
+        ({"quantization": api.QUANTIZATION_FULL_RANGE}, "YUV422_8"),
+        ({"colorspace": api.COLORSPACE_JPEG, "quantization": 2}, "YUYV"),
+    ],
+)
+def test_the_range_of_luma_is_as_the_driver_says(colour: dict[str, int], name: str) -> None:
+    camera = ScriptedCamera(formats={"YUYV": [(64, 48)]})
+    camera.colour = colour
+    device = device_of(camera, pixel_format="YUYV")
+    device.open()
+    camera.shoot()
+    frame = device.next_frame(WAIT_S)
+    assert frame is not None
+    assert (frame.pixel_format, frame.row_bytes) == (name, 128)
+
+
+def test_colours_of_hd_television_are_told() -> None:
+    camera = ScriptedCamera(formats={"YUYV": [(64, 48)]})
+    camera.colour = {"colorspace": api.COLORSPACE_REC709}
+    device = device_of(camera, pixel_format="YUYV", exposure_s=0.01)
+    device.open()
+    assert "BT.709" in str(device.statistics()["warnings"])
 
 
 def test_multi_planar_drivers_deliver_the_same() -> None:

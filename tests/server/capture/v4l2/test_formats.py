@@ -2,8 +2,9 @@ from __future__ import annotations
 
 import pytest
 
-from nearfield_server.capture.v4l2.formats import FORMATS, code_of, find_code, find_format, fourcc_of
+from nearfield_server.capture.v4l2.formats import FORMATS, V4l2Format, code_of, find_code, find_format, fourcc_of
 from nearfield_server.errors import CaptureError
+from nearfield_server.imaging.pixel_formats import pixel_format
 
 # From the section "Image Formats" of the Linux Media User Space API: code, name there, and what it is by PFNC where PFNC has it.
 DOCUMENTED = [
@@ -47,6 +48,19 @@ def test_rows_of_packed_formats_round_up_to_whole_bytes() -> None:
     assert [find_format(name).row_bytes(8) for name in ("SRGGB10P", "SRGGB12P", "SRGGB14P")] == [10, 12, 14]
     assert find_format("SRGGB10P").row_bytes(5) == 7
     assert find_format("MJPG").row_bytes(640) == 0
+
+
+@pytest.mark.parametrize("known", FORMATS, ids=lambda known: known.usual_name)
+def test_every_format_can_be_unpacked_with_the_same_layout(known: V4l2Format) -> None:
+    layout = pixel_format(known.pixel_format)
+    assert layout.pixel_bits == known.bits_per_pixel
+    digits = "".join(filter(str.isdigit, known.usual_name.removesuffix("24")))
+    assert layout.bits == int(digits or 8)
+    phase = known.usual_name[1:5]
+    assert layout.bayer == (phase if sorted(phase) == sorted("RGGB") else None)
+    if not known.is_compressed:
+        row_bytes = known.row_bytes(32)
+        assert layout.payload_bytes(32, 8, row_bytes) == layout.payload_bytes(32, 8) == 8 * row_bytes
 
 
 def test_an_unknown_format_lists_the_known_ones() -> None:

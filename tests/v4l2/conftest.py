@@ -1,0 +1,96 @@
+"""Virtual cameras of the kernel driver vivid. Tests marked `vivid` are left out where there are none: `make test-v4l2` brings them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import pytest
+
+from nearfield_server.capture.v4l2.controls import ControlSet
+from nearfield_server.capture.v4l2.video_node import KernelNode
+
+_CLASS = Path("/sys/class/video4linux")
+_DRIVER = Path("/sys/bus/platform/drivers/vivid")
+_left_out: list[str] = []
+
+
+def vivid_nodes() -> list[str]:
+    """Device nodes of the virtual cameras, in the order of the cameras."""
+    names = {}
+    for entry in _CLASS.glob("video*"):
+        name = (entry / "name").read_text(encoding="utf-8").strip()
+        if name.startswith("vivid-") and name.endswith("-vid-cap"):
+            names[name] = f"/dev/{entry.name}"
+    return [names[name] for name in sorted(names)]
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    if vivid_nodes():
+        return
+    here = [item for item in items if item.get_closest_marker("vivid")]
+    if here:
+        items[:] = [item for item in items if item not in here]
+        config.hook.pytest_deselected(items=here)
+        _left_out.append(
+            f"{len(here)} tests of V4L2 cameras left out: no device of the kernel driver vivid; run make test-v4l2"
+        )
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    for line in _left_out:
+        terminalreporter.write_line(line)
+
+
+class Plug:
+    """The plug of the virtual cameras, and links to them that survive replugging, as udev makes them in /dev/v4l/by-id.
+
+    Attributes:
+        paths: of the links, one per camera.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self.paths: list[str] = []
+        self.link()
+
+    def link(self) -> None:
+        """Let the links point to where the cameras are now."""
+        for old in self._folder.iterdir():
+            old.unlink()
+        self.paths = []
+        for index, node in enumerate(vivid_nodes()):
+            link = self._folder / f"usb-vivid_{index}-video-index0"
+            link.symlink_to(node)
+            self.paths.append(str(link))
+
+    def pull(self) -> None:
+        """Take the cameras from the machine."""
+        (_DRIVER / "unbind").write_text("vivid.0", encoding="ascii")
+        for link in self._folder.iterdir():
+            link.unlink()
+
+    def push(self) -> None:
+        """Bring them back."""
+        (_DRIVER / "bind").write_text("vivid.0", encoding="ascii")
+        self.link()
+
+
+@pytest.fixture
+def plug() -> Iterator[Plug]:
+    # Under /dev, where room files expect device nodes, and writable.
+    with TemporaryDirectory(dir="/dev/shm", prefix="nearfield-vivid-") as folder:
+        yield Plug(Path(folder))
+    for node in vivid_nodes():
+        set_control(node, "percentage_of_dropped_buffers", 0)
+
+
+def set_control(path: str, name: str, value: int = 1) -> None:
+    """Set a control, or press a button, from outside of the stream."""
+    node = KernelNode(path)
+    try:
+        controls = ControlSet(node)
+        controls.set(controls.named(name), value)
+    finally:
+        node.close()

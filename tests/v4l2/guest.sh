@@ -1,0 +1,71 @@
+#!/usr/bin/env bash
+# Boots a Debian kernel under QEMU (TCG), loads vivid and runs `pytest -m vivid` in it, on this machine's files over 9p, read-only.
+# Downloads (the packages of QEMU by apt, and the kernel, 70 MB, by apt-get download, which checks its hash) are kept.
+set -euo pipefail
+cd "$(dirname "$0")/../.."
+project=$PWD
+cache=${NEARFIELD_CACHE_DIR:-$HOME/.cache/nearfield}/v4l2
+mkdir -p "$cache"
+
+for tool in qemu-system-x86_64 busybox kmod cpio; do
+  command -v "$tool" >/dev/null || missing="${missing:-} $tool"
+done
+if [ -n "${missing:-}" ]; then
+  echo "vivid: installing$missing"
+  sudo=$([ "$(id -u)" = 0 ] || echo sudo)
+  $sudo apt-get update -qq
+  $sudo env DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends qemu-system-x86 busybox-static kmod cpio
+fi
+
+# The kernel: the newest package of this Debian, unless one is kept already.
+deb=$(ls -t "$cache"/linux-image-*.deb 2>/dev/null | head -n 1 || true)
+if [ -z "$deb" ]; then
+  package=$(apt-cache depends linux-image-amd64 | awk '/Depends:/ { print $2; exit }')
+  [ -n "$package" ] || { echo "vivid: apt knows no linux-image-amd64; run apt-get update" >&2; exit 1; }
+  echo "vivid: downloading $package"
+  (cd "$cache" && apt-get download -qq "$package")
+  deb=$(ls -t "$cache"/linux-image-*.deb | head -n 1)
+fi
+
+# Its modules: only those that are needed, in the order in which they are loaded.
+kernel=$cache/$(basename "$deb" .deb)
+if [ ! -e "$kernel/complete" ]; then
+  rm -rf "$kernel" && mkdir -p "$kernel"
+  dpkg --fsys-tarfile "$deb" | tar -x -C "$kernel" --wildcards './boot/vmlinuz-*' './lib/modules/*/modules.*' \
+    './lib/modules/*/kernel/drivers/media/*' './lib/modules/*/kernel/drivers/virtio/*' './lib/modules/*/kernel/drivers/video/*' \
+    './lib/modules/*/kernel/drivers/i2c/*' './lib/modules/*/kernel/net/9p/*' './lib/modules/*/kernel/fs/9p/*' \
+    './lib/modules/*/kernel/fs/netfs/*' './lib/modules/*/kernel/fs/fscache/*'
+  depmod -b "$kernel" "$(ls "$kernel/lib/modules")"
+  touch "$kernel/complete"
+fi
+release=$(ls "$kernel/lib/modules")
+
+work=$(mktemp -d)
+trap 'rm -rf "$work"' EXIT
+root=$work/root
+mkdir -p "$root"/{bin,dev,host,modules,proc,sys}
+cp "$(command -v busybox)" "$root/bin/busybox"
+cp tests/v4l2/guest_init "$root/init"
+chmod +x "$root/init"
+for module in virtio_pci 9pnet_virtio 9p vivid; do
+  modprobe -d "$kernel" -S "$release" --show-depends "$module" | awk '$1 == "insmod" { print $2 }'
+done | awk '!seen[$0]++' | while read -r file; do
+  cp "$file" "$root/modules/"
+  basename "$file" >>"$root/modules/list"
+done
+{
+  printf 'cd %q\n' "$project"
+  printf 'export HOME=/tmp PATH=%q PYTHONDONTWRITEBYTECODE=1 PYTHONUNBUFFERED=1 TERM=dumb PYTEST_DISABLE_PLUGIN_AUTOLOAD=1\n' "$PATH"
+  printf 'exec .venv/bin/python -m pytest -m vivid -p no:cacheprovider -p pytest_asyncio.plugin -p pytest_timeout --color=no --confcutdir=tests/v4l2 tests/v4l2'
+  [ $# = 0 ] || printf ' %q' "$@"
+  printf '\n'
+} >"$root/command"
+(cd "$root" && find . | cpio -o -H newc --quiet | gzip -1) >"$work/initrd"
+
+echo "vivid: booting $release"
+timeout 900 qemu-system-x86_64 -accel tcg,thread=multi -cpu max -smp 2 -m 2048 -display none -vga none -serial stdio -no-reboot -nic none -monitor none \
+  -kernel "$kernel/boot/vmlinuz-$release" -initrd "$work/initrd" -append "console=ttyS0 loglevel=3 panic=-1 mitigations=off" \
+  -virtfs local,path=/,mount_tag=hostroot,security_model=none,readonly=on,multidevs=remap </dev/null | tr -d '\r' | tee "$work/console"
+result=$(sed -n 's/^guest: the tests ended with \([0-9]*\)$/\1/p' "$work/console" | tail -n 1)
+[ -n "$result" ] || { echo "vivid: the virtual machine ended before the tests did" >&2; exit 1; }
+exit "$result"
