@@ -10,7 +10,7 @@ if [ "$(id -u)" = 0 ] && [ -d "/lib/modules/$(uname -r)" ] && modprobe -qn vivid
   loaded=$(lsmod | grep -c '^vivid ' || true)
   [ "$loaded" != 0 ] || modprobe vivid n_devs=2 node_types=0x1,0x1 multiplanar=1,2 num_inputs=1,1 input_types=0,0
   trap '[ "$loaded" != 0 ] || rmmod vivid' EXIT
-  .venv/bin/python -m pytest -m vivid tests/v4l2 "$@"
+  .venv/bin/python -m pytest -m vivid --confcutdir=tests/v4l2 tests/v4l2 "$@"
   exit
 fi
 exec tests/v4l2/guest.sh "$@"

@@ -2,7 +2,14 @@ from __future__ import annotations
 
 import pytest
 
-from nearfield_server.capture.v4l2.formats import FORMATS, V4l2Format, code_of, find_code, find_format, fourcc_of
+from nearfield_server.capture.v4l2.formats import (
+    FORMATS,
+    V4l2Format,
+    code_of,
+    find_code,
+    find_format,
+    fourcc_of,
+)
 from nearfield_server.errors import CaptureError
 from nearfield_server.imaging.pixel_formats import pixel_format
 
