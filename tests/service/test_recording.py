@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import subprocess
@@ -11,13 +12,16 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from tests.service.harness import PATIENCE_S, Service
 
 from nearfield_protocol.codec import SetLightWeight, SetObjectPose
+from nearfield_server.capture.cameras import make_source
 from nearfield_server.recording.check import check_identity
 from nearfield_server.recording.export import verify_frames
 from nearfield_server.recording.files.library import open_recording
+from nearfield_server.scene.room_config import load_room
 from nearfield_server.supervisor.control_socket import RunningService
 
 pytestmark = pytest.mark.service
@@ -26,7 +30,7 @@ pytestmark = pytest.mark.service
 @pytest.fixture(scope="module")
 def noisy(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
     """A service whose cameras never deliver the same picture twice."""
-    service = Service(tmp_path_factory.mktemp("noisy") / "service.log", "--full-well", "20", "--rate", "15")
+    service = Service(tmp_path_factory.mktemp("noisy") / "service.log", "--full-well", "20", "--rate", "10")
     try:
         service.running()
         yield service
@@ -71,10 +75,10 @@ def test_a_recording_gives_the_same_packets_though_its_recorder_was_killed(
 ) -> None:
     folder = tmp_path / "recording"
     _ask(noisy, command="record", folder=str(folder), kind="raw")
-    _wait_for_updates(noisy, 1, 12)
+    _wait_for_updates(noisy, 1, 10)
     light_before = noisy.newest_packet().sequence
     os.kill(noisy.pid("recorder"), signal.SIGKILL)
-    _wait_for_updates(noisy, 2, 12)
+    _wait_for_updates(noisy, 2, 10)
     assert noisy.newest_packet().sequence > light_before
     _ask(noisy, command="finish")
     end = time.monotonic() + PATIENCE_S
@@ -91,43 +95,36 @@ def test_a_recording_gives_the_same_packets_though_its_recorder_was_killed(
     report = check_identity(folder)
     assert report.is_identical, report.lines()
     assert report.runs == 2
-    assert report.updates >= 24
+    assert report.updates >= 20
     # Users did things meanwhile: objects moved in the recording.
     poses = {
         step.objects[0].revision for run in recording.light_runs([]) for step in run.updates if step.objects
     }
     assert len(poses) > 3
-    _without_a_frame(folder)
-
-
-def _without_a_frame(folder: Path) -> None:
-    """The comparison notices a lost frame, and a light that is another one."""
-    log = folder / "light.jsonl"
-    whole = log.read_text()
-    lines = whole.splitlines(keepends=True)
-    position = next(index for index, line in enumerate(lines) if '"number":5' in line)
-    packets = [line for line in lines if '"packet"' in line]
-    other = packets[-1].split('"packet":"')[1].split('"')[0]
-    changed = lines[position].split('"packet":"')
-    if len(changed) == 2:
-        lines[position] = changed[0] + '"packet":"' + other + changed[1][changed[1].index('"') :]
-        log.write_text("".join(lines))
-        report = check_identity(folder)
-        assert not report.is_identical
-        assert "first difference in take 1, run 1, update 5: sequence" in report.difference
-    log.write_text(whole)
-    segment = min((folder / "segments").iterdir())
-    data = segment.read_bytes()
-    segment.write_bytes(data[: len(data) // 2])
+    # The comparison notices light that is another one, and a lost frame.
+    _spoil(folder)
     report = check_identity(folder)
     assert not report.is_identical
-    assert "identity is lost from update" in report.lost[0]
-    assert report.packets_equal > 0
-    segment.write_bytes(data)
+    assert "first difference in take 1, run 1, update 5: sequence" in report.difference
+    assert "take 1, run 1: identity is lost from update" in report.lost[0]
+    assert "was not recorded" in report.lost[0]
+    assert 0 < report.packets_equal < report.packets
+
+
+def _spoil(folder: Path) -> None:
+    """Put the last packet in the place of the fifth, and cut the first take in the middle."""
+    log = folder / "light.jsonl"
+    lines = log.read_text().splitlines(keepends=True)
+    other = json.loads([line for line in lines if '"packet"' in line][-1])["packet"]
+    position = next(index for index, line in enumerate(lines) if '"number":5' in line)
+    lines[position] = json.dumps({**json.loads(lines[position]), "packet": other}) + "\n"
+    log.write_text("".join(lines))
+    segment = min((folder / "segments").iterdir())
+    segment.write_bytes(segment.read_bytes()[: segment.stat().st_size * 2 // 3])
 
 
 def test_the_command_records_and_the_folder_is_a_room(noisy: Service, tmp_path: Path) -> None:
-    """Through the command line, as OpenEXR files; then served as a room, where the pictures of that time give light again."""
+    """Through the command line, as OpenEXR files; each camera of that room shows the pictures of that time."""
     folder = tmp_path / "exr"
     done = subprocess.run(
         [
@@ -148,35 +145,14 @@ def test_the_command_records_and_the_folder_is_a_room(noisy: Service, tmp_path: 
     assert done.returncode == 0, done.stderr
     assert "MB/s if every picture changes" in done.stderr
     recording = open_recording(folder)
-    assert min(len(track.frames) for track in recording.tracks) > 5
+    assert min(len(track.frames) for track in recording.tracks) > 3
     assert not any(verify_frames(recording))
-    replayed = Service(tmp_path / "replay.log", room=folder)
-    try:
-        replayed.running()
-        source = replayed.status("cam1", connected=True)["source"]
-        assert source["kind"] == "recording"
-        assert source["frames"] == len(recording.tracks[1].frames)
-        at, _ = replayed.packet_after(0.0)
-        _, packet = replayed.packet_after(at)
-        assert packet.object_sh[0, 0].min() > 0
-    finally:
-        assert replayed.close() == 0
-
-
-def test_a_command_that_makes_no_sense_is_refused_in_words(noisy: Service, tmp_path: Path) -> None:
-    (tmp_path / "full").mkdir()
-    (tmp_path / "full" / "file").write_text("")
-    for arguments, words in (
-        (["--out", str(tmp_path / "full")], "new or empty"),
-        (["--out", str(tmp_path / "x"), "--format", "avi"], "expected one of exr, raw"),
-        ([], "expected --out"),
-    ):
-        done = subprocess.run(
-            [sys.executable, "-m", "nearfield_server", "record", *arguments],
-            capture_output=True,
-            text=True,
-            timeout=PATIENCE_S,
-            check=False,
+    room = load_room(folder)
+    for index, track in enumerate(recording.tracks):
+        source = make_source(room, index, {})
+        source.open()
+        frame = source.next_frame(1)
+        assert frame is not None
+        np.testing.assert_array_equal(
+            frame.pixels.view(np.uint16), track.read(track.frames[0]).view(np.uint16)
         )
-        assert done.returncode == 2
-        assert words in done.stderr

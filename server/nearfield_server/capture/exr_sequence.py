@@ -23,7 +23,8 @@ class ExrSequence:
     """A recording.
 
     `index.jsonl` in the folder is optional: one JSON object per line, `{"file": "000001.exr", "timestamp_ns": "123"}`, times as
-    strings because other tools read JSON numbers as doubles. Without it every `*.exr` is played in the order of the names.
+    strings because other tools read JSON numbers as doubles; a last line that is cut off is passed over. Without an index every `*.exr`
+    is played in the order of the names.
 
     Attributes:
         camera_id: name for messages.
@@ -51,13 +52,17 @@ def _read_index(sequence: ExrSequence) -> list[tuple[Path, int]]:
             for number, path in enumerate(sorted(sequence.folder.glob("*.exr")))
         ]
     entries: list[tuple[Path, int]] = []
-    for number, line in enumerate(index_path.read_text(encoding="utf-8").splitlines(), 1):
+    lines = index_path.read_text(encoding="utf-8", errors="replace").splitlines(keepends=True)
+    for number, line in enumerate(lines, 1):
         if not line.strip():
             continue
         try:
             record = json.loads(line)
             name, timestamp_ns = record["file"], int(record["timestamp_ns"])
-        except (ValueError, KeyError, TypeError) as error:
+        except (ValueError, KeyError, TypeError, RecursionError) as error:
+            if number == len(lines) and not line.endswith("\n"):
+                _log.warning("index ends in the middle of a line", file=str(index_path), line=number)
+                break
             raise AssetError(
                 f'{index_path}:{number}: expected {{"file": name, "timestamp_ns": "digits"}}, found {line[:80]!r}'
             ) from error

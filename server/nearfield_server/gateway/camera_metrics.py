@@ -78,7 +78,17 @@ class CameraCollector(Collector):
         )
         for name, child in (statuses.get("supervisor", {}).get("children") or {}).items():
             restarts.add_metric((name,), child.get("restarts", 0))
-        return [*families, exposure, state, restarts]
+        return [*families, exposure, state, restarts, *_recording_families(statuses.get("recorder", {}))]
+
+
+def _recording_families(recorder: dict[str, Any]) -> Iterable[Metric]:
+    """Frames of the recording that runs or ran last."""
+    for field, text in (
+        ("frames_written", "Frames that the recording holds."),
+        ("frames_dropped", "Frames that the machine was too slow to record."),
+    ):
+        if isinstance(recorder.get(field), int):
+            yield CounterMetricFamily(f"nearfield_recording_{field}", text, value=recorder[field])
 
 
 def _filled(

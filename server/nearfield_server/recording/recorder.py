@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import os
 import threading
 import time
 from collections.abc import Sequence
@@ -19,6 +20,7 @@ from nearfield_server.recording.space import SpaceGuard, WriteRate
 
 SYNC_PERIOD_S: Final = 5.0
 """A power cut loses at most this much; a killed recorder loses only the frame in hand, because the kernel has the others."""
+_NICE: Final = 5
 
 
 class FrameWriter(Protocol):
@@ -204,6 +206,8 @@ class Recorder:
         self._backlog.clear()
 
     def _write_frames(self, cameras: Sequence[int]) -> None:
+        # Where processors are short, light and capture come first; frames can wait in the backlog.
+        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _NICE)
         while True:
             frame = self._backlog.take(cameras, timeout_s=0.5)
             if frame is None:

@@ -184,6 +184,18 @@ def test_a_malformed_index_is_refused_with_its_line(recording: Path, line: str, 
         ExrSequenceSource(_sequence(recording)).open()
 
 
+def test_an_index_whose_writer_was_killed_plays_up_to_the_cut(recording: Path) -> None:
+    whole = '{"file": "000000.exr", "timestamp_ns": "1"}\n'
+    (recording / INDEX_NAME).write_text(
+        whole + whole.strip().replace("000000", "000001").replace('"1"', '"2')[:-9]
+    )
+    source = ExrSequenceSource(_sequence(recording))
+    with capture_logs() as logs:
+        source.open()
+    assert source.describe()["frames"] == 1
+    assert "middle of a line" in logs[0]["event"]
+
+
 def test_missing_and_empty_folders_are_told_in_words(tmp_path: Path) -> None:
     with pytest.raises(CaptureError, match="does not exist"):
         ExrSequenceSource(_sequence(tmp_path / "none")).open()
