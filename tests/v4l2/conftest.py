@@ -1,14 +1,20 @@
-"""Virtual cameras of the kernel driver vivid. Tests marked `vivid` are skipped where there are none: `make test-v4l2` brings them."""
+"""Virtual cameras: those of the kernel driver vivid, and a software camera at the kernel's virtual USB port.
+
+Tests marked `vivid` are skipped where there are none: `make test-v4l2` brings them.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import pytest
+from tests.v4l2.usb_camera import PORT, UsbCamera
 
 from nearfield_server.capture.v4l2.controls import ControlSet
+from nearfield_server.capture.v4l2.discovery import list_cameras
 from nearfield_server.capture.v4l2.video_node import KernelNode
 
 _CLASS = Path("/sys/class/video4linux")
@@ -75,6 +81,52 @@ def plug() -> Iterator[Plug]:
         yield Plug(Path(folder))
     for node in vivid_nodes():
         set_control(node, "percentage_of_dropped_buffers", 0)
+
+
+class UsbPlug:
+    """A software camera at the virtual USB port, and its link as udev makes it.
+
+    Attributes:
+        camera: the camera. path: of the link.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.camera = UsbCamera()
+        self._link = folder / f"usb-Nearfield_Software_camera_{self.camera.serial}-video-index0"
+        self.path = str(self._link)
+
+    def push(self) -> None:
+        """Plug the camera in and wait for the kernel to know it."""
+        wait_for(PORT.exists)
+        self.camera.plug()
+        wait_for(self._nodes)
+        self._link.symlink_to(self._nodes()[0])
+
+    def pull(self) -> None:
+        """Pull the plug and wait for the kernel to notice."""
+        self.camera.unplug()
+        self._link.unlink(missing_ok=True)
+        wait_for(lambda: not self._nodes())
+
+    def _nodes(self) -> list[str]:
+        return [camera.node for camera in list_cameras() if camera.serial == self.camera.serial]
+
+
+@pytest.fixture
+def usb() -> Iterator[UsbPlug]:
+    with TemporaryDirectory(dir="/dev/shm", prefix="nearfield-usb-") as folder:
+        plug = UsbPlug(Path(folder))
+        plug.push()
+        yield plug
+        plug.pull()
+
+
+def wait_for(condition: Callable[[], object]) -> None:
+    """Wait until something is the case, for a minute at most."""
+    end_s = time.monotonic() + 60.0
+    while not condition():
+        assert time.monotonic() < end_s, "waited for a minute"
+        time.sleep(0.05)
 
 
 def set_control(path: str, name: str, value: int = 1) -> None:

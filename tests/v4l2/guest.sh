@@ -34,7 +34,8 @@ if [ ! -e "$kernel/complete" ]; then
   dpkg --fsys-tarfile "$deb" | tar -x -C "$kernel" --wildcards './boot/vmlinuz-*' './lib/modules/*/modules.*' \
     './lib/modules/*/kernel/drivers/media/*' './lib/modules/*/kernel/drivers/virtio/*' './lib/modules/*/kernel/drivers/video/*' \
     './lib/modules/*/kernel/drivers/i2c/*' './lib/modules/*/kernel/net/9p/*' './lib/modules/*/kernel/fs/9p/*' \
-    './lib/modules/*/kernel/fs/netfs/*' './lib/modules/*/kernel/fs/fscache/*'
+    './lib/modules/*/kernel/fs/netfs/*' './lib/modules/*/kernel/fs/fscache/*' './lib/modules/*/kernel/drivers/usb/*'
+  find "$kernel" -name '*.ko.xz' -exec xz -d {} +
   depmod -b "$kernel" "$(ls "$kernel/lib/modules")"
   touch "$kernel/complete"
 fi
@@ -47,7 +48,7 @@ mkdir -p "$root"/{bin,dev,host,modules,proc,sys}
 cp "$(command -v busybox)" "$root/bin/busybox"
 cp tests/v4l2/guest_init "$root/init"
 chmod +x "$root/init"
-for module in virtio_pci 9pnet_virtio 9p vivid; do
+for module in virtio_pci 9pnet_virtio 9p vivid uvcvideo vhci-hcd; do
   modprobe -d "$kernel" -S "$release" --show-depends "$module" | awk '$1 == "insmod" { print $2 }'
 done | awk '!seen[$0]++' | while read -r file; do
   cp "$file" "$root/modules/"
