@@ -5,10 +5,12 @@ from __future__ import annotations
 import ctypes
 from dataclasses import dataclass
 
+from nearfield_server.capture.aravis.control_claim import give_up_for_the_dead, write_claim
 from nearfield_server.capture.aravis.discovery import find_by_serial
 from nearfield_server.capture.aravis.genicam_check import LARGEST_XML_BYTES, check_genicam, fetch_genicam
 from nearfield_server.capture.aravis.gvcp import ControlChannel, FoundCamera
 from nearfield_server.capture.aravis.library import Aravis, AravisError
+from nearfield_server.capture.aravis.own_sockets import udp_ports
 from nearfield_server.capture.aravis.release import release_later
 from nearfield_server.errors import CaptureError
 from nearfield_server.scene.device_schema import AravisSourceTable
@@ -69,9 +71,11 @@ def open_gige(aravis: Aravis, address: str) -> Connection:
     """
     with ControlChannel(address) as channel:
         camera = channel.describe()
+        give_up_for_the_dead(address)
         xml = fetch_genicam(channel)
         names = check_genicam(xml).names
         host_address = channel.host_address
+    ports = udp_ports(host_address)
     host = aravis.c.g_inet_address_new_from_string(host_address.encode())
     remote = aravis.c.g_inet_address_new_from_string(address.encode())
     assert host is not None
@@ -94,12 +98,12 @@ def open_gige(aravis: Aravis, address: str) -> Connection:
         ticks_per_s = aravis.c.arv_gv_device_get_timestamp_tick_frequency(device)
     except AravisError:
         ticks_per_s = 0
+    is_controller = aravis.c.arv_gv_device_is_controller(device)
+    new_ports = udp_ports(host_address) - ports
+    if is_controller and len(new_ports) == 1:
+        write_claim(address, host_address, new_ports.pop())
     return Connection(
-        device=device,
-        camera=camera,
-        names=names,
-        ticks_per_s=ticks_per_s,
-        is_controller=aravis.c.arv_gv_device_is_controller(device),
+        device=device, camera=camera, names=names, ticks_per_s=ticks_per_s, is_controller=is_controller
     )
 
 

@@ -1,7 +1,7 @@
 """The little of the GigE Vision Control Protocol that is needed before a camera is trusted to libaravis.
 
 Finding cameras, reading registers and memory. Everything that comes from a camera is checked here before it is used; nothing is written
-to it.
+to it, except that control can be given up.
 Source: GigE Vision 2.0, chapters 14 to 18 (layout of packets), 28 (bootstrap registers).
 """
 
@@ -25,6 +25,7 @@ LARGEST_READ_BYTES: Final = 512
 
 DISCOVERY: Final = 0x0002
 READ_REGISTER: Final = 0x0080
+WRITE_REGISTER: Final = 0x0082
 READ_MEMORY: Final = 0x0084
 PENDING: Final = 0x0089
 
@@ -154,19 +155,25 @@ def _text(field: bytes) -> str:
 
 
 class ControlChannel:
-    """A socket to one camera, for reading only. Replies are taken from that address and port alone.
+    """A socket to one camera, for reading. Replies are taken from that address and port alone.
 
     Args:
         address: IPv4 address of the camera.
         timeout_s: wait for an answer; asked three times.
+        source: address and port of this machine to ask from; None = any.
     """
 
-    def __init__(self, address: str, timeout_s: float = 0.2) -> None:
+    def __init__(self, address: str, timeout_s: float = 0.2, source: tuple[str, int] | None = None) -> None:
         self.address, self._timeout_s = address, timeout_s
         self._request_id = 0
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
+            if source is not None:
+                self._socket.bind(source)
             self._socket.connect((address, PORT))
+        except OverflowError as error:
+            self._socket.close()
+            raise CaptureError(f"no port of this machine: {source}") from error
         except OSError as error:
             self._socket.close()
             raise CaptureError(
@@ -225,6 +232,10 @@ class ControlChannel:
                 )
             pieces.append(reply[4:])
         return b"".join(pieces)[:num_bytes]
+
+    def give_up_control(self) -> None:
+        """Set the camera free; it obeys only if it is controlled from this socket's port, or by nobody. Raises CaptureError."""
+        self._ask(WRITE_REGISTER, struct.pack(">II", REGISTER_CONTROL, 0))
 
     def _ask(self, command: int, payload: bytes) -> bytes:
         self._request_id = self._request_id % 0xFFFE + 1

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import contextlib
-import os
 import socket
-import stat
-from pathlib import Path
 from typing import Final
+
+from nearfield_server.capture.aravis.own_sockets import udp_sockets
 
 _SO_RCVBUFFORCE: Final = 33
 _PAYLOADS: Final = 3
@@ -44,31 +43,10 @@ def enlarge_receive_buffer(port: int, wanted: int) -> int:
 
     With CAP_NET_ADMIN the limit `net.core.rmem_max` does not bind. The kernel doubles the size for its book-keeping; not counted here.
     """
-    channel = _own_udp_socket(port)
-    if channel is None:
-        return 0
-    with channel:
-        channel.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, wanted)
-        with contextlib.suppress(OSError):
-            channel.setsockopt(socket.SOL_SOCKET, _SO_RCVBUFFORCE, wanted)
-        return channel.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) // 2
-
-
-def _own_udp_socket(port: int) -> socket.socket | None:
-    for entry in Path("/proc/self/fd").iterdir():
-        try:
-            descriptor = int(entry.name)
-            if not stat.S_ISSOCK(os.fstat(descriptor).st_mode):
-                continue
-            channel = socket.socket(fileno=os.dup(descriptor))
-        except OSError:
-            continue  # closed meanwhile by another thread
-        with contextlib.suppress(OSError):
-            if (
-                channel.family == socket.AF_INET
-                and channel.type == socket.SOCK_DGRAM
-                and channel.getsockname()[1] == port
-            ):
-                return channel
-        channel.close()
-    return None
+    for channel in udp_sockets():
+        if channel.getsockname()[1] == port:
+            channel.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, wanted)
+            with contextlib.suppress(OSError):
+                channel.setsockopt(socket.SOL_SOCKET, _SO_RCVBUFFORCE, wanted)
+            return channel.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) // 2
+    return 0
