@@ -143,7 +143,8 @@ class CameraFrame:
         sequence: counts up by one per captured frame.
         content_revision: equal for two frames of one camera only if their pixels are equal; lets stages be skipped.
         timestamp_ns: capture time, CLOCK_MONOTONIC of the capturing host.
-        pixels: (H, W, 4) float16 relative or absolute radiance; alpha 1 = valid, 0 = invalid or outside the image circle.
+        pixels: (H, W, 4) float16 relative or absolute radiance; alpha 1 = valid, 0 = invalid or outside the image circle, the
+            largest half below 1 = valid as a lower bound.
         tile_revisions: (ceil(H / FRAME_TILE), ceil(W / FRAME_TILE)) int64; equal for two frames of one camera only if the pixels of
             that tile are equal. None: any pixel may differ.
     """

@@ -107,7 +107,7 @@ class FrameDraft:
 
     Attributes:
         pixels: (height, width, 4) float16; to be filled completely.
-        counters: (5,) uint64 in the order of `COUNTER_NAMES`; to be filled completely.
+        counters: (6,) uint64 in the order of `COUNTER_NAMES`; to be filled completely.
         changed: (rows, columns) bool of the tiles, True at first; a tile may be cleared if its pixels are those of `previous`, bit for bit.
         previous: (height, width, 4) float16, pixels of the newest frame, read-only; None before the first frame.
     """

@@ -20,7 +20,9 @@ from nearfield_server.records import FRAME_TILE
 HALF_MAX = 65504.0
 _HALF_MAX_BITS = 0x7BFF
 _HALF_ONE_BITS = 0x3C00
-INGEST_COUNTERS = ("nan", "infinite", "negative", "above_range")
+LOWER_BOUND_BITS: Final = 0x3BFF
+"""Alpha of a pixel whose radiance is only a lower bound, as bits: the largest half below 1."""
+INGEST_COUNTERS = ("nan", "infinite", "negative", "above_range", "lower_bound")
 _NOTHING_BEFORE: Final = np.zeros((0, 0), np.uint64)
 
 
@@ -48,9 +50,13 @@ def _clean_pixel(source: NDArray[np.float32], row: int, column: int, counts: NDA
     counts[1] += infinite
     counts[2] += negative
     counts[3] += above
+    alpha = source[row, column, 3] if source.shape[2] == 4 else np.float32(1.0)
     # A pixel with one unknown channel is no measurement at all.
-    if nan or (source.shape[2] == 4 and not source[row, column, 3] > np.float32(0.5)):
+    if nan or not alpha > np.float32(0.5):
         return np.uint64(0)
+    if alpha < np.float32(1.0):
+        counts[4] += np.uint64(1)
+        return word | np.uint64(LOWER_BOUND_BITS) << np.uint64(48)
     return word | np.uint64(_HALF_ONE_BITS) << np.uint64(48)
 
 
@@ -98,26 +104,41 @@ def _clean_half_rows(
     """Like `_clean_rows`, from words (H, W) of four halves: most are clean already and pass as they are."""
     height, width = source.shape
     pixel = np.zeros((1, 1, 4), np.float32)
+    seen = np.empty(FRAME_TILE, np.uint64)
+    valid, bound = np.uint64(_HALF_ONE_BITS), np.uint64(LOWER_BOUND_BITS)
     for row in range(height):
         for tile in range(changed.shape[1]):
             left, right = tile * FRAME_TILE, min((tile + 1) * FRAME_TILE, width)
-            compare = previous.shape[0] != 0 and not changed[row // FRAME_TILE, tile]
-            difference = np.uint64(0)
-            for column in range(left, right):
-                word = source[row, column]
-                # No sign, alpha 1, and adding one to each exponent overflows nowhere: neither infinity nor NaN.
+            run, out = source[row, left:right], target[row, left:right]
+            # No sign, a known alpha, and adding one to each exponent overflows nowhere: neither infinity nor NaN.
+            oddities, bounds = np.uint64(0), np.uint64(0)
+            for column in range(run.shape[0]):
+                word = run[column]
+                if use_circle:
+                    word = word if circle[row, left + column] else np.uint64(0)
+                seen[column] = word
                 exponents = (word & np.uint64(0x7C007C007C00)) + np.uint64(0x040004000400)
-                oddities = (exponents | word) & np.uint64(0x800080008000)
-                if use_circle and not circle[row, column]:
-                    word = np.uint64(0)
-                elif (oddities or word >> np.uint64(48) != np.uint64(_HALF_ONE_BITS)) and word:
-                    for channel in range(4):
-                        bits = np.uint16(word >> np.uint64(16 * channel))
-                        pixel[0, 0, channel] = half_to_float(bits)
-                    word = _clean_pixel(pixel, 0, 0, counts)
-                target[row, column] = word
-                if compare:
-                    difference |= word ^ previous[row, column]
+                alpha = word >> np.uint64(48)
+                is_bound = alpha == bound
+                known = is_bound or alpha == valid or word == np.uint64(0)
+                oddities |= ((exponents | word) & np.uint64(0x800080008000)) | np.uint64(not known)
+                bounds += np.uint64(is_bound)
+            if oddities:
+                for column in range(run.shape[0]):
+                    if seen[column]:
+                        for channel in range(4):
+                            bits = np.uint16(seen[column] >> np.uint64(16 * channel))
+                            pixel[0, 0, channel] = half_to_float(bits)
+                        seen[column] = _clean_pixel(pixel, 0, 0, counts)
+            else:
+                counts[4] += bounds
+            difference = np.uint64(0)
+            if previous.shape[0] != 0 and not changed[row // FRAME_TILE, tile]:
+                before = previous[row, left:right]
+                for column in range(run.shape[0]):
+                    difference |= seen[column] ^ before[column]
+            for column in range(run.shape[0]):
+                out[column] = seen[column]
             if difference != np.uint64(0):
                 changed[row // FRAME_TILE, tile] = True
 
@@ -139,10 +160,12 @@ def ingest_frame(
     """Turn a raw picture into a clean one, and find the tiles in which it differs from the one before.
 
     Per channel: NaN makes the whole pixel invalid; negative values become 0; values above the half range, infinity included, become 65504
-    (the light is there, only its amount is a lower bound). Alpha is validity: 1 inside the image circle with all channels known, else 0.
+    (the light is there, only its amount is a lower bound). Alpha is validity: inside the image circle with all channels known 1, or the
+    largest half below 1 where the source says that the radiance is a lower bound; else 0.
 
     Args:
-        pixels: (H, W, 3 or 4) float32 or float16 radiance; a fourth channel <= 0.5 (or NaN) marks a pixel as invalid.
+        pixels: (H, W, 3 or 4) float32 or float16 radiance; a fourth channel <= 0.5 (or NaN) marks a pixel as invalid, one between 0.5 and 1
+            as a lower bound.
         target: (H, W, 4) float16, written completely (usually a slot of a frame ring).
         image_circle: (H, W) bool, where the lens shows anything; None = everywhere.
         previous: (H, W, 4) float16, the clean picture in use until now; None = there is none.

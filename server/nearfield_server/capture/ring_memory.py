@@ -18,11 +18,11 @@ from nearfield_server.errors import FrameRingError
 from nearfield_server.records import FRAME_TILE
 
 MAGIC = b"NFRAMES\x00"
-LAYOUT_VERSION = 3
+LAYOUT_VERSION = 4
 PAGE = 4096
 METADATA_BYTES = 2048
 DEFAULT_SLOTS = 4
-COUNTER_NAMES = ("nan", "infinite", "negative", "above_range", "saturated")
+COUNTER_NAMES = ("nan", "infinite", "negative", "above_range", "lower_bound", "saturated")
 
 RING_HEADER = np.dtype(
     [

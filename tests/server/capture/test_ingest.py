@@ -11,6 +11,8 @@ from hypothesis.extra import numpy as hnp
 from nearfield_server.capture.ingest import HALF_MAX, INGEST_COUNTERS, ingest_frame
 from nearfield_server.errors import CaptureError
 
+LOWER_BOUND = np.nextafter(np.float16(1), np.float16(0))
+
 
 def _ingest(pixels: np.ndarray, circle: np.ndarray | None = None) -> tuple[np.ndarray, dict[str, int]]:
     target = np.full((*pixels.shape[:2], 4), np.nan, np.float16)
@@ -32,16 +34,19 @@ def test_any_input_comes_out_clean_and_counted(pixels: np.ndarray) -> None:
     declared = pixels[..., 3] > 0.5 if pixels.shape[2] == 4 else np.ones(pixels.shape[:2], bool)
     assert np.isfinite(target).all()
     assert (target >= 0).all()
-    np.testing.assert_array_equal(target[..., 3] == 1, declared & ~nan)
+    bound = declared & ~nan & (pixels[..., 3] < 1 if pixels.shape[2] == 4 else False)
+    np.testing.assert_array_equal(target[..., 3] == 1, declared & ~nan & ~bound)
+    np.testing.assert_array_equal(target[..., 3] == LOWER_BOUND, bound)
     assert (target[target[..., 3] == 0] == 0).all()
     expected = np.clip(rgb, 0, HALF_MAX).astype(np.float32).astype(np.float16)
-    valid = target[..., 3] == 1
+    valid = target[..., 3] > 0
     np.testing.assert_array_equal(target[valid][:, :3], expected[valid])
     assert counts == {
         "nan": nan.sum(),
         "infinite": np.isinf(rgb).any(-1).sum(),
         "negative": ((rgb < 0) & np.isfinite(rgb)).any(-1).sum(),
         "above_range": ((rgb > HALF_MAX) & np.isfinite(rgb)).any(-1).sum(),
+        "lower_bound": bound.sum(),
     }
 
 
@@ -153,3 +158,27 @@ def test_half_words_are_cleaned_as_the_same_numbers_in_float(
     expected, expected_counts = _ingest(halves.astype(np.float32))
     assert np.array_equal(found.view(np.uint16), expected.view(np.uint16))
     assert counts == expected_counts
+
+
+@pytest.mark.parametrize("dtype", [np.float16, np.float32])
+def test_lower_bounds_stay_marked_and_only_inside_the_circle_counted(dtype: type) -> None:
+    pixels = np.full((40, 40, 4), 2.0, dtype)
+    pixels[..., 3] = 1.0
+    pixels[3, 5:9, 3], pixels[4, 5:9, 3], pixels[5, 5:9, 3] = 0.75, LOWER_BOUND, 0.5
+    circle = np.ones((40, 40), bool)
+    circle[3, 8] = False
+    target, counts = _ingest(pixels, circle)
+    assert counts == {**dict.fromkeys(INGEST_COUNTERS, 0), "lower_bound": 7}
+    np.testing.assert_array_equal(target[3, 4:10, 3], np.array([1, *[LOWER_BOUND] * 3, 0, 1], np.float16))
+    np.testing.assert_array_equal(target[4, 5:9], np.array([[2, 2, 2, LOWER_BOUND]] * 4, np.float16))
+    assert not target[5, 5:9].any()
+
+
+def test_a_pixel_that_becomes_a_lower_bound_is_a_change() -> None:
+    pixels = np.ones((64, 64, 4), np.float16)
+    before, _ = _ingest(pixels)
+    pixels[40, 50, 3] = LOWER_BOUND
+    changed = np.zeros((2, 2), bool)
+    for tolerance in (0.0, 0.5):
+        ingest_frame(pixels, np.empty_like(before), previous=before, changed=changed, tolerance=tolerance)
+        np.testing.assert_array_equal(changed, [[False, False], [False, True]])

@@ -173,6 +173,7 @@ class EditedSource(ScriptedSource):
                 -0.0,
                 -1.0,
                 0.25,
+                0.75,
                 1.0,
                 np.nextafter(np.float32(1), np.float32(2)),
                 1e5,
@@ -188,7 +189,7 @@ def _clean(pixels: np.ndarray, circle: np.ndarray) -> np.ndarray:
     known = circle & ~np.isnan(pixels[..., :3]).any(-1) & (pixels[..., 3] > 0.5)
     clean = np.zeros(pixels.shape, np.float16)
     clean[..., :3] = np.clip(np.nan_to_num(pixels[..., :3], nan=0.0, posinf=65504.0), 0.0, 65504.0) + 0.0
-    clean[..., 3] = 1.0
+    clean[..., 3] = np.where(pixels[..., 3] < 1, np.nextafter(np.float16(1), np.float16(0)), np.float16(1))
     clean[~known] = 0.0
     return clean
 

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from nearfield_server.errors import CaptureError
@@ -14,7 +16,8 @@ from nearfield_server.imaging.unpacking import unpack
 
 from .payloads import payload
 
-RAW = [name for name, layout in FORMATS.items() if not layout.is_video]
+RAW = [name for name, layout in FORMATS.items() if not layout.is_video and layout.bayer is None]
+"""Every layout once: those of mosaics are the same, see `test_a_mosaic_lies_in_memory_as_a_grey_picture`."""
 
 
 def _codes(layout: PixelFormat, height: int, width: int, seed: int) -> np.ndarray:
@@ -23,6 +26,7 @@ def _codes(layout: PixelFormat, height: int, width: int, seed: int) -> np.ndarra
 
 
 @pytest.mark.parametrize("name", RAW)
+@settings(max_examples=25)
 @given(
     height=st.integers(1, 5),
     groups=st.integers(1, 9),
@@ -41,6 +45,19 @@ def test_codes_come_back_from_their_bits(
     assert data.size - padding == layout.payload_bytes(width, height, row_bytes) or (
         layout.packing is Packing.GIGE_VISION and width % 2 == 1
     )
+
+
+def test_a_mosaic_lies_in_memory_as_a_grey_picture() -> None:
+    for pair, phase in {"RG": "RGGB", "GR": "GRBG", "GB": "GBRG", "BG": "BGGR"}.items():
+        for name in RAW:
+            if name.startswith("Mono"):
+                of_mosaic = FORMATS[name.replace("Mono", f"Bayer{pair}")]
+            elif name.startswith("Y"):
+                of_mosaic = FORMATS[name.replace("Y", f"S{phase}")]
+            else:
+                continue
+            assert of_mosaic.bayer == phase
+            assert replace(of_mosaic, name=name, bayer=None) == FORMATS[name]
 
 
 @pytest.mark.parametrize("name", RAW)

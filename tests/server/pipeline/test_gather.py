@@ -68,6 +68,19 @@ def test_invalid_pixels_do_not_leak(room: BoxRoom, pool: BlockPool, two_lamps: R
     np.testing.assert_array_equal(_run(room.table, pictures, pool)[0], _run(room.table, poisoned, pool)[0])
 
 
+def test_lower_bounds_weigh_as_measurements(room: BoxRoom, pool: BlockPool) -> None:
+    pictures = _noise_pictures(room, 6)
+    marked = [picture.copy() for picture in pictures]
+    rng = np.random.default_rng(8)
+    for share, picture in zip((0.0, 0.3, 0.7, 1.0), marked, strict=True):
+        bound = (picture[..., 3] == 1) & (rng.random(picture.shape[:2]) < share)
+        picture[bound, 3] = np.nextafter(np.float16(1), np.float16(0))
+    expected, found = _run(room.table, pictures, pool)[0], _run(room.table, marked, pool)[0]
+    assert np.any(found != expected)
+    # Weights change by at most twice 2^-11, the share that alpha lacks.
+    np.testing.assert_allclose(found, expected, rtol=2**-10 * 1.001)
+
+
 def test_result_does_not_depend_on_threads(room: BoxRoom, pool: BlockPool) -> None:
     pictures = _noise_pictures(room, 7)
     np.testing.assert_array_equal(
