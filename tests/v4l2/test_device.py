@@ -142,7 +142,7 @@ def test_every_frame_is_numbered_and_dated(plug: Plug) -> None:
 
 
 def test_numbers_go_on_where_the_driver_wraps_them(plug: Plug) -> None:
-    with opened(device_on(plug.paths[0], controls={"wrap_sequence_number": 1})) as device:
+    with opened(device_on(plug.paths[0], rate=60.0, controls={"wrap_sequence_number": 1})) as device:
         ids = []
         for _ in range(150):  # the driver begins 128 before the wrap
             frame = take(device)

@@ -1,11 +1,9 @@
 """A USB camera in software (USB Video Class 1.1, bulk transfer), plugged into the kernel's virtual USB port.
 
-The port is vhci-hcd, the host side of USB/IP.
-
-
-The kernel's own driver uvcvideo drives it: exposure in units of 100 us behind an automatic that has to be switched off first, gain,
-brightness, white balance; pictures whose level tells the exposure that they were taken with. Nothing goes over a network: the port is given
-one end of a socket pair. Sources: the USB Video Class specification 1.1, and the kernel's documentation of the USB/IP protocol.
+The port is vhci-hcd, the host side of USB/IP, and the kernel's own driver uvcvideo drives the camera: exposure in units of 100 us behind an
+automatic that has to be switched off first, gain, brightness, white balance; pictures whose level tells the exposure that they were taken
+with. Nothing goes over a network: the port is given one end of a socket pair. Sources: the USB Video Class specification 1.1, and the
+kernel's documentation of the USB/IP protocol.
 """
 
 from __future__ import annotations

@@ -212,8 +212,6 @@ def _list_controls(node: VideoNode) -> Iterable[Control]:
             if error.errno in (errno.EINVAL, errno.ENOTTY):
                 return
             raise
-        if answer.id <= number:
-            return  # a driver that runs in circles
         number = answer.id
         if answer.type != api.ControlType.CTRL_CLASS and not answer.flags & api.ControlFlag.DISABLED:
             yield _control(answer)

@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 
 from nearfield_server.capture.device import DeviceCapabilities, Exposure, SensorFrame
 from nearfield_server.capture.v4l2 import kernel_api as api
@@ -16,6 +17,7 @@ from nearfield_server.capture.v4l2.control_setup import (
     set_named_controls,
 )
 from nearfield_server.capture.v4l2.controls import ControlSet, spell
+from nearfield_server.capture.v4l2.discovery import read_serial
 from nearfield_server.capture.v4l2.exposure_control import (
     ExposureScale,
     GainScale,
@@ -250,6 +252,7 @@ class V4l2Device:
         identity = session.identity
         return {
             "model": identity.card,
+            "serial": read_serial(Path(self._table.path)),
             "driver": identity.driver,
             "bus": identity.bus,
             "device_pixel_format": session.picture.format.usual_name,

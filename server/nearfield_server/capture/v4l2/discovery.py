@@ -61,7 +61,7 @@ def list_cameras(
             found.append(FoundCamera(path=path, node=str(node), problem=str(error)))
             continue
         if camera is not None:
-            serial = _read_serial(sys / "class" / "video4linux" / node.name)
+            serial = read_serial(node, sys)
             found.append(
                 FoundCamera(path, str(node), camera.card, camera.driver, camera.bus, serial, camera.formats)
             )
@@ -128,8 +128,14 @@ def stable_path(node: Path, dev: Path = Path("/dev")) -> str:
     return str(node)
 
 
-def _read_serial(entry: Path) -> str:
-    """Serial number of the USB device that a node belongs to."""
+def read_serial(node: Path, sys: Path = Path("/sys")) -> str:
+    """Return the serial number of the USB device that a node (or a link to it) belongs to; empty if it has none.
+
+    Args:
+        node: for example /dev/video0.
+        sys: where the kernel describes devices.
+    """
+    entry = sys / "class" / "video4linux" / node.resolve().name
     try:
         raw = ((entry / "device").resolve(strict=True).parent / "serial").read_text(
             encoding="utf-8", errors="replace"

@@ -118,6 +118,8 @@ class ScriptedCamera:
         self.open_error: int | None = None
         self.stream_error: int | None = None
         self.forgets_exposure_at_start = False
+        self.stopped = False  # by the driver: nothing comes any more, and poll says so
+        self.after_write: Callable[[], object] = lambda: None  # limits that depend on other controls
         self.script: deque[Callable[[], object]] = deque()  # what happens while somebody waits
         self.written: list[tuple[str, int]] = []  # every control that was set, in order
         self.open_nodes = 0
@@ -259,7 +261,7 @@ class ScriptedCamera:
         return self._done.popleft()
 
     def ready(self) -> Readiness:
-        if not self.plugged or self.broken or not self.streaming:
+        if not self.plugged or self.broken or self.stopped or not self.streaming:
             return Readiness.FAILED
         return Readiness.FRAME if self._done else Readiness.NOTHING
 
@@ -424,6 +426,7 @@ class ScriptedNode:
     def _s_ext_ctrls(self, camera: ScriptedCamera, request: api.ExtControls) -> None:
         control, name, entry = self._entry(camera, request)
         control.write(getattr(entry, name))
+        camera.after_write()
         camera.written.append((control.name, int(control.value or 0)))
         setattr(entry, name, control.value)
 

@@ -116,7 +116,7 @@ def test_a_sensor_in_lines_is_set_in_seconds_and_its_frame_rate_by_blanking() ->
     camera = ScriptedCamera(
         rates=(),
         controls=[
-            ScriptedControl(ControlId.EXPOSURE, "Exposure", minimum=1, maximum=5000, default=10),
+            ScriptedControl(ControlId.EXPOSURE, "Exposure", minimum=1, maximum=48, default=10),
             ScriptedControl(
                 ControlId.PIXEL_RATE,
                 "Pixel Rate",
@@ -129,6 +129,12 @@ def test_a_sensor_in_lines_is_set_in_seconds_and_its_frame_rate_by_blanking() ->
             ScriptedControl(ControlId.VBLANK, "Vertical Blanking", maximum=5000, default=4),
         ],
     )
+
+    def limit_exposure() -> None:
+        # As sensors do: no exposure is longer than a frame.
+        camera.control(ControlId.EXPOSURE).maximum = 44 + int(camera.control(ControlId.VBLANK).value or 0)
+
+    camera.after_write = limit_exposure
     device = device_of(camera, exposure_s=0.01)
     device.open()
     # Lines of 64 + 36 pixels take 100 us: 100 lines are 10 ms, and 30 frames/s are 333 lines, 48 of them shown.
@@ -409,9 +415,14 @@ def test_after_the_settle_frames_every_picture_has_the_new_exposure() -> None:
     camera = exposing_camera(delay=2)
     device = device_of(camera, exposure_s=0.01)
     settle = device.open().settle_frames
-    camera.shoot(Shot(), Shot())  # wait already when the exposure changes
+    camera.shoot(Shot(), Shot(), Shot())
+    first = device.next_frame(WAIT_S)
+    assert first is not None
+    device.release(first)
+    # Two wait already when the exposure changes.
     made = device.set_exposure(Exposure(time_s=0.02004))
     assert made.time_s == pytest.approx(0.02)
+    assert camera.num_queued == camera.num_buffers
     shown = []
     for _ in range(settle + 3):
         camera.shoot()
@@ -449,7 +460,10 @@ def test_unplugging_is_told_and_replugging_heals_with_every_setting_applied_agai
     device.open()
     camera.shoot()
     before = device.next_frame(WAIT_S)
+    camera.shoot()
+    held = device.next_frame(WAIT_S)
     assert before is not None
+    assert held is not None
     camera.script.append(camera.unplug)
     with pytest.raises(CaptureError, match="the camera is gone"):
         device.next_frame(30.0)
@@ -468,8 +482,8 @@ def test_unplugging_is_told_and_replugging_heals_with_every_setting_applied_agai
     camera.shoot()
     after = device.next_frame(WAIT_S)
     assert after is not None
-    assert after.frame_id == before.frame_id + 1
-    device.release(before)  # of the stream before: ignored
+    assert after.frame_id == held.frame_id + 1
+    device.release(held)  # of the stream before: ignored
     assert camera.num_queued == camera.num_buffers - 1
     assert camera.open_nodes == 1
 
@@ -480,6 +494,15 @@ def test_a_broken_stream_is_told() -> None:
     device.open()
     camera.script.append(lambda: setattr(camera, "broken", True))
     with pytest.raises(CaptureError, match=r"cannot take a picture: the camera fails \(Input/output error\)"):
+        device.next_frame(30.0)
+
+
+def test_a_stream_that_the_driver_stops_is_told() -> None:
+    camera = ScriptedCamera()
+    device = device_of(camera)
+    device.open()
+    camera.script.append(lambda: setattr(camera, "stopped", True))
+    with pytest.raises(CaptureError, match="the driver has stopped the stream"):
         device.next_frame(30.0)
 
 
