@@ -373,9 +373,13 @@ class Developer:
         codes = np.empty((num_exposures, len(rows), self.width * self.format.channels), np.uint16)
         for position in range(num_exposures):
             _take_rows(self._store[position], self._arguments, rows, codes[position])
-        lookup, limit = self.response.lookup, self.response.saturated_from
+        response = self.response
         return [
-            (i, j, exposure_ratio(codes[i], codes[j], lookup, limit))
+            (
+                i,
+                j,
+                exposure_ratio(codes[i], codes[j], response.lookup, response.saturated_from, response.step),
+            )
             for i in range(num_exposures)
             for j in range(i + 1, num_exposures)
         ]

@@ -18,6 +18,7 @@ _BLOCK_COLUMNS = 32
 _LEAST_PIXELS = 24
 _LEAST_BLOCKS = 4
 _WELL_MEASURED = (0.25, 0.06, 0.015)
+_LEAST_STEPS = 4.0
 _SPREAD = 4.0
 _LEAST_SPREAD = 0.002
 
@@ -45,7 +46,11 @@ def _block_sums(
 
 
 def exposure_ratio(
-    first: NDArray[np.uint16], second: NDArray[np.uint16], lookup: NDArray[np.float32], saturated_from: int
+    first: NDArray[np.uint16],
+    second: NDArray[np.uint16],
+    lookup: NDArray[np.float32],
+    saturated_from: int,
+    step: float,
 ) -> float:
     """Ratio of the exposure amount of the first picture to that of the second.
 
@@ -54,6 +59,7 @@ def exposure_ratio(
         second: (H, W) likewise, of the same rows.
         lookup: (65536,) float32, signal of a code, see `response`.
         saturated_from: the least code that is no measurement.
+        step: signal of one code at the dark end.
 
     Returns:
         The ratio; NaN if too few pixels are valid in both.
@@ -68,24 +74,26 @@ def exposure_ratio(
     for share in _WELL_MEASURED:
         sums = np.zeros((*blocks, 3))
         _block_sums(longer, shorter, lookup, saturated_from, share * top, sums)
-        ratio = _agreed_ratio(sums.reshape(-1, 3))
+        flat = sums.reshape(-1, 3)
+        # Below a few codes the lower end of the converter and its steps bend what the shorter exposure says.
+        usable = flat[(flat[:, 2] >= _LEAST_PIXELS) & (flat[:, 1] > _LEAST_STEPS * step * flat[:, 2])]
+        ratio = _agreed_ratio(usable)
         if math.isfinite(ratio):
             return ratio if is_first_longer else 1.0 / ratio
     return math.nan
 
 
 def _agreed_ratio(sums: NDArray[np.float64]) -> float:
-    """Ratio of sums over the blocks (n, 3) that agree; NaN without enough blocks.
+    """Ratio of sums over the blocks (n, 3) that agree; NaN if there are too few.
 
     The narrowest interval that holds half of the pixels tells where they agree; unlike a median it does not lean towards blocks in which
     the light changed. Blocks near it count, so that in a still scene all do.
     """
-    usable = sums[(sums[:, 2] >= _LEAST_PIXELS) & (sums[:, 1] > 0.0)]
-    if len(usable) < _LEAST_BLOCKS:
+    if len(sums) < _LEAST_BLOCKS:
         return math.nan
-    ratios = np.log(usable[:, 0] / usable[:, 1])
+    ratios = np.log(sums[:, 0] / sums[:, 1])
     order = np.argsort(ratios)
-    ratios, pixels = ratios[order], usable[order, 2]
+    ratios, pixels = ratios[order], sums[order, 2]
     before = np.concatenate(([0.0], np.cumsum(pixels)))
     # For each block as the lower end, the first one with which half of the pixels are reached.
     last = np.searchsorted(before, before[:-1] + 0.5 * before[-1]) - 1
@@ -94,5 +102,5 @@ def _agreed_ratio(sums: NDArray[np.float64]) -> float:
     best = int(np.argmin(widths))
     low, high = ratios[lower[best]], ratios[last[lower[best]]]
     agreed = np.abs(ratios - 0.5 * (low + high)) <= max(_SPREAD * 0.5 * (high - low), _LEAST_SPREAD)
-    total = usable[order][agreed].sum(0)
+    total = sums[order][agreed].sum(0)
     return float(total[0] / total[1])

@@ -28,7 +28,7 @@ def _expose(rng: np.random.Generator, radiance: np.ndarray, amount: float, black
 
 def _ratio(first: np.ndarray, second: np.ndarray, response: Response | None = None) -> float:
     response = response or make_response(SensorTable(black_level=60.0), FORMATS["Mono12"])
-    return exposure_ratio(first, second, response.lookup, response.saturated_from)
+    return exposure_ratio(first, second, response.lookup, response.saturated_from, response.step)
 
 
 @pytest.mark.parametrize("true", [2.0, 4.0, 8.0, 16.0])
