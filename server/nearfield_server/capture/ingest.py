@@ -91,6 +91,36 @@ def _clean_rows(
                 changed[row // FRAME_TILE, tile] = True
 
 
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")  # type: ignore[untyped-decorator]
+def _take_words(source: NDArray[np.uint64], inside: NDArray[np.bool_], out: NDArray[np.uint64]) -> Any:
+    """Words (n,) inside the circle, 0 outside; returns what is odd about them (0 = all are clean), and the number of lower bounds.
+
+    Clean is a word without signs, with a known alpha, and with exponents to which one can be added: neither infinity nor NaN.
+    """
+    oddities, bounds = np.uint64(0), np.uint64(0)
+    least = np.uint64(LOWER_BOUND_BITS)
+    for column in range(source.shape[0]):
+        word = source[column]
+        if not inside[column]:
+            word = np.uint64(0)
+        out[column] = word
+        exponents = (word & np.uint64(0x7C007C007C00)) + np.uint64(0x040004000400)
+        # The two known alphas follow each other; smaller ones wrap around.
+        alpha = (word >> np.uint64(48)) - least
+        bounds += np.uint64(alpha == np.uint64(0))
+        is_known = alpha <= np.uint64(1) or word == np.uint64(0)
+        oddities |= (exponents | word) & np.uint64(0x800080008000) if is_known else np.uint64(1)
+    return oddities, bounds
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")  # type: ignore[untyped-decorator]
+def _differ(words: NDArray[np.uint64], others: NDArray[np.uint64]) -> bool:
+    difference = np.uint64(0)
+    for column in range(words.shape[0]):
+        difference |= words[column] ^ others[column]
+    return difference != np.uint64(0)
+
+
 @njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def _clean_half_rows(
     source: NDArray[np.uint64],
@@ -104,43 +134,25 @@ def _clean_half_rows(
     """Like `_clean_rows`, from words (H, W) of four halves: most are clean already and pass as they are."""
     height, width = source.shape
     pixel = np.zeros((1, 1, 4), np.float32)
-    seen = np.empty(FRAME_TILE, np.uint64)
-    valid, bound = np.uint64(_HALF_ONE_BITS), np.uint64(LOWER_BOUND_BITS)
+    everywhere = np.ones(FRAME_TILE, np.bool_)
     for row in range(height):
         for tile in range(changed.shape[1]):
             left, right = tile * FRAME_TILE, min((tile + 1) * FRAME_TILE, width)
-            run, out = source[row, left:right], target[row, left:right]
-            # No sign, a known alpha, and adding one to each exponent overflows nowhere: neither infinity nor NaN.
-            oddities, bounds = np.uint64(0), np.uint64(0)
-            for column in range(run.shape[0]):
-                word = run[column]
-                if use_circle:
-                    word = word if circle[row, left + column] else np.uint64(0)
-                seen[column] = word
-                exponents = (word & np.uint64(0x7C007C007C00)) + np.uint64(0x040004000400)
-                alpha = word >> np.uint64(48)
-                is_bound = alpha == bound
-                known = is_bound or alpha == valid or word == np.uint64(0)
-                oddities |= ((exponents | word) & np.uint64(0x800080008000)) | np.uint64(not known)
-                bounds += np.uint64(is_bound)
+            out = target[row, left:right]
+            inside = circle[row, left:right] if use_circle else everywhere[: right - left]
+            oddities, bounds = _take_words(source[row, left:right], inside, out)
             if oddities:
-                for column in range(run.shape[0]):
-                    if seen[column]:
+                for column in range(out.shape[0]):
+                    word = out[column]
+                    if word:
                         for channel in range(4):
-                            bits = np.uint16(seen[column] >> np.uint64(16 * channel))
+                            bits = np.uint16(word >> np.uint64(16 * channel))
                             pixel[0, 0, channel] = half_to_float(bits)
-                        seen[column] = _clean_pixel(pixel, 0, 0, counts)
+                        out[column] = _clean_pixel(pixel, 0, 0, counts)
             else:
                 counts[4] += bounds
-            difference = np.uint64(0)
             if previous.shape[0] != 0 and not changed[row // FRAME_TILE, tile]:
-                before = previous[row, left:right]
-                for column in range(run.shape[0]):
-                    difference |= seen[column] ^ before[column]
-            for column in range(run.shape[0]):
-                out[column] = seen[column]
-            if difference != np.uint64(0):
-                changed[row // FRAME_TILE, tile] = True
+                changed[row // FRAME_TILE, tile] = _differ(out, previous[row, left:right])
 
 
 def as_words(pixels: NDArray[np.float16]) -> NDArray[np.uint64]:
