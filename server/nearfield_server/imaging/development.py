@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from nearfield_server.errors import CaptureError, ConfigError
 from nearfield_server.imaging.demosaic import PAD, interpolate_colours, interpolate_green, split_row
 from nearfield_server.imaging.exposure_check import exposure_ratio
-from nearfield_server.imaging.hdr_merge import add_row, begin_row, check_amounts, end_row
+from nearfield_server.imaging.hdr_merge import add_row, check_amounts, end_row
 from nearfield_server.imaging.pixel_formats import pixel_format
 from nearfield_server.imaging.response import make_response
 from nearfield_server.imaging.unpacking import plain_rows, unpack_row
@@ -61,11 +61,11 @@ def _measured_row(
             is_bound[index] = np.uint8(codes[index] >= limit)
             count += np.int64(codes[index] >= limit)
         return int(count)
-    begin_row(codes, lookup, saturated_from, amounts[0], sums[0], sums[1], sums[2])
-    for exposure in range(1, payloads.shape[0]):
-        unpack_row(payloads[exposure], row, row_bytes, packing, bits, channels, variant, codes)
-        add_row(codes, lookup, saturated_from, amounts[exposure], sums[0], sums[1], sums[2])
-    return int(end_row(sums[0], sums[1], sums[2], out, is_bound))
+    for exposure in range(payloads.shape[0]):
+        if exposure:
+            unpack_row(payloads[exposure], row, row_bytes, packing, bits, channels, variant, codes)
+        add_row(codes, lookup, saturated_from, amounts[exposure], exposure == 0, sums)
+    return int(end_row(sums, out, is_bound))
 
 
 @njit(**_JIT)  # type: ignore[untyped-decorator]
@@ -156,7 +156,7 @@ def _develop_mosaic(
     height, width = out.shape
     half = width // 2
     codes = np.empty(width, np.uint16)
-    sums = np.empty((3, width), np.float32)
+    sums = np.empty((4, width), np.float32)
     samples = np.empty(width, np.float32)
     bounds = np.zeros((_RING, width), np.uint8)
     has_bounds = np.zeros(_RING, np.bool_)
@@ -235,7 +235,7 @@ def _develop_plain(
     height, width = out.shape
     channels = layout[3]
     codes = np.empty(width * channels, np.uint16)
-    sums = np.empty((3, width * channels), np.float32)
+    sums = np.empty((4, width * channels), np.float32)
     samples = np.empty(width * channels, np.float32)
     bounds = np.empty(width * channels, np.uint8)
     planes = np.empty((channels, width), np.float32)
@@ -246,9 +246,13 @@ def _develop_plain(
         found = _measured_row(
             payloads, layout, row, lookup, saturated_from, amounts, codes, sums, samples, bounds
         )
-        for channel in range(channels):
+        if channels == 3:
             for column in range(width):
-                planes[channel, column] = samples[channels * column + channel]
+                planes[0, column] = samples[3 * column]
+                planes[1, column] = samples[3 * column + 1]
+                planes[2, column] = samples[3 * column + 2]
+        else:
+            planes[0] = samples
         target = out[row]
         _pack_pixels(planes[0], planes[green], planes[blue], matrix, target)
         if found:

@@ -32,37 +32,14 @@ from numpy.typing import NDArray
 from nearfield_server.errors import CaptureError
 
 
-@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
-def begin_row(
-    codes: NDArray[np.uint16],
-    lookup: NDArray[np.float32],
-    saturated_from: int,
-    amount: float,
-    weighted: NDArray[np.float32],
-    weight: NDArray[np.float32],
-    bound: NDArray[np.float32],
-) -> None:
-    """Start the sums of a row of samples with one exposure; all arrays (n,). See `add_row`."""
-    factor, square, inverse = np.float32(amount), np.float32(amount * amount), np.float32(1.0 / amount)
-    zero = np.float32(0.0)
-    limit = np.uint16(saturated_from)
-    for index in range(codes.shape[0]):
-        signal = lookup[codes[index]]
-        is_valid = codes[index] < limit
-        weighted[index] = factor * signal if is_valid else zero
-        weight[index] = square if is_valid else zero
-        bound[index] = zero if is_valid else signal * inverse
-
-
-@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, nogil=True, fastmath={"nnan", "nsz"})  # type: ignore[untyped-decorator]
 def add_row(
     codes: NDArray[np.uint16],
     lookup: NDArray[np.float32],
     saturated_from: int,
     amount: float,
-    weighted: NDArray[np.float32],
-    weight: NDArray[np.float32],
-    bound: NDArray[np.float32],
+    is_first: bool,
+    sums: NDArray[np.float32],
 ) -> None:
     """Add one exposure to a row of samples.
 
@@ -71,30 +48,37 @@ def add_row(
         lookup: (65536,) float32, signal of a code.
         saturated_from: the least code that is only a lower bound.
         amount: of the exposure, in the unit of the result.
-        weighted: (n,) float32, sum of amount times signal.
-        weight: (n,) float32, sum of squared amounts.
-        bound: (n,) float32, the greatest lower bound.
+        is_first: the sums begin with this exposure.
+        sums: (4, n) float32: amount times signal, squared amount, the greatest lower bound; the last row is scratch.
     """
+    weighted, weight, bound, signal = sums[0], sums[1], sums[2], sums[3]
     factor, square, inverse = np.float32(amount), np.float32(amount * amount), np.float32(1.0 / amount)
     zero = np.float32(0.0)
     limit = np.uint16(saturated_from)
+    if is_first:
+        sums[:3] = zero
+    # The lookup in a loop of its own: the others are vector instructions then.
+    num_saturated = 0
     for index in range(codes.shape[0]):
-        signal = lookup[codes[index]]
+        signal[index] = lookup[codes[index]]
+    for index in range(codes.shape[0]):
+        num_saturated += codes[index] >= limit
+    if num_saturated == 0:
+        for index in range(codes.shape[0]):
+            weighted[index] += factor * signal[index]
+            weight[index] += square
+        return
+    for index in range(codes.shape[0]):
         is_valid = codes[index] < limit
-        weighted[index] += factor * signal if is_valid else zero
+        weighted[index] += factor * signal[index] if is_valid else zero
         weight[index] += square if is_valid else zero
-        bound[index] = max(bound[index], zero if is_valid else signal * inverse)
+        bound[index] = max(bound[index], zero if is_valid else signal[index] * inverse)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def end_row(
-    weighted: NDArray[np.float32],
-    weight: NDArray[np.float32],
-    bound: NDArray[np.float32],
-    out: NDArray[np.float32],
-    is_bound: NDArray[np.uint8],
-) -> int:
+def end_row(sums: NDArray[np.float32], out: NDArray[np.float32], is_bound: NDArray[np.uint8]) -> int:
     """Turn the sums into values (n,) and flags (n,); returns the number of flagged samples."""
+    weighted, weight, bound = sums[0], sums[1], sums[2]
     count = np.int64(0)
     for index in range(out.shape[0]):
         nothing = weight[index] == np.float32(0.0)
@@ -113,14 +97,13 @@ def _merge_planes(
     out: NDArray[np.float32],
     is_bound: NDArray[np.uint8],
 ) -> int:
-    weighted, weight, bound = np.empty((3, codes.shape[2]), np.float32)
-    count = 0
+    sums = np.empty((4, codes.shape[2]), np.float32)
+    count = np.int64(0)
     for row in range(codes.shape[1]):
-        begin_row(codes[0, row], lookup, saturated_from, amounts[0], weighted, weight, bound)
-        for exposure in range(1, codes.shape[0]):
-            add_row(codes[exposure, row], lookup, saturated_from, amounts[exposure], weighted, weight, bound)
-        count += end_row(weighted, weight, bound, out[row], is_bound[row])
-    return count
+        for exposure in range(codes.shape[0]):
+            add_row(codes[exposure, row], lookup, saturated_from, amounts[exposure], exposure == 0, sums)
+        count += end_row(sums, out[row], is_bound[row])
+    return int(count)
 
 
 def check_amounts(amounts: Sequence[float]) -> NDArray[np.float64]:
