@@ -118,7 +118,7 @@ def _differ(words: NDArray[np.uint64], others: NDArray[np.uint64]) -> bool:
     difference = np.uint64(0)
     for column in range(words.shape[0]):
         difference |= words[column] ^ others[column]
-    return difference != np.uint64(0)
+    return bool(difference)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
