@@ -24,7 +24,7 @@ if [ -z "$deb" ]; then
   package=$(apt-cache depends linux-image-amd64 | awk '/Depends:/ { print $2; exit }')
   [ -n "$package" ] || { echo "vivid: apt knows no linux-image-amd64; run apt-get update" >&2; exit 1; }
   echo "vivid: downloading $package"
-  (cd "$cache" && apt-get download -qq "$package")
+  (cd "$cache" && apt-get download -qq -o APT::Sandbox::User="$(id -un)" "$package")
   deb=$(ls -t "$cache"/linux-image-*.deb | head -n 1)
 fi
 
