@@ -61,11 +61,20 @@ def holders_of(path: str) -> list[tuple[int, str]]:
         if int(process.name) == os.getpid():
             continue
         try:
-            if any(entry.stat().st_rdev == wanted for entry in (process / "fd").iterdir()):
-                found.append((int(process.name), (process / "comm").read_text(encoding="utf-8").strip()))
+            if any(_device_of(entry) == wanted for entry in (process / "fd").iterdir()):
+                name = (process / "comm").read_text(encoding="utf-8", errors="replace").strip()
+                found.append((int(process.name), name))
         except OSError:
             continue  # it ended meanwhile, or belongs to someone else
     return sorted(found)
+
+
+def _device_of(entry: Path) -> int | None:
+    """Device number behind an opened file; None if it was closed meanwhile."""
+    try:
+        return entry.stat().st_rdev
+    except OSError:
+        return None
 
 
 def _present(path: str) -> str:
