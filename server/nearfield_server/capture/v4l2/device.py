@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -16,17 +15,10 @@ from nearfield_server.capture.v4l2.control_setup import (
     set_image_controls_to_default,
     set_named_controls,
 )
-from nearfield_server.capture.v4l2.controls import ControlSet, spell
+from nearfield_server.capture.v4l2.controls import ControlSet
 from nearfield_server.capture.v4l2.discovery import read_serial
-from nearfield_server.capture.v4l2.exposure_control import (
-    ExposureScale,
-    GainScale,
-    LineTiming,
-    find_exposure_scale,
-    find_gain_control,
-    find_gain_scale,
-    read_line_timing,
-)
+from nearfield_server.capture.v4l2.exposure_control import LineTiming, read_line_timing, set_blanking
+from nearfield_server.capture.v4l2.exposure_setting import ExposureSetting, find_exposure_setting
 from nearfield_server.capture.v4l2.faults import explain
 from nearfield_server.capture.v4l2.formats import find_format
 from nearfield_server.capture.v4l2.frame_queue import FilledBuffer, FrameQueue, SequenceCounter
@@ -49,11 +41,9 @@ class _Session:
 
     node: VideoNode
     identity: Identity
-    controls: ControlSet
     picture: Picture
     timing: LineTiming | None
-    exposure_scale: ExposureScale | None
-    gain_scale: GainScale | None
+    setting: ExposureSetting
     queue: FrameQueue
     exposure: Exposure
 
@@ -128,22 +118,21 @@ class V4l2Device:
                 controls = ControlSet(node)  # limits depend on the format
                 timing = read_line_timing(controls, picture.width)
                 rate = set_frame_rate(node, buffer_type, self._frame_rate)
-                rate = self._set_blanking(controls, timing) if rate is None else rate
+                if rate is None and timing is not None:
+                    rate = set_blanking(controls, timing, picture.height, self._frame_rate)
                 controls = ControlSet(node)  # and on the frame rate
-                exposure_scale = find_exposure_scale(controls, self._table.exposure_unit_s, timing)
-                gain_scale = find_gain_scale(controls, self._table.gain_steps)
-                wish = self._first_exposure(controls, exposure_scale, gain_scale)
-                made = _apply(controls, exposure_scale, gain_scale, wish)
+                setting = find_exposure_setting(controls, self._table, timing)
+                wish, warnings = setting.first(self._table, self._frame_rate)
+                self._warnings += warnings
+                made = setting.apply(wish)
                 queue = FrameQueue(node, buffer_type, self._num_buffers())
-            self._session = _Session(
-                node, identity, controls, picture, timing, exposure_scale, gain_scale, queue, made
-            )
+            self._session = _Session(node, identity, picture, timing, setting, queue, made)
             with self._in_words("start the stream"):
                 self._counter.restart()
                 queue.start()
                 # Some cameras forget the exposure when a stream starts.
-                if _read(controls, exposure_scale, gain_scale, made) != made:
-                    self._session.exposure = _apply(controls, exposure_scale, gain_scale, wish)
+                if setting.read(made) != made:
+                    self._session.exposure = setting.apply(wish)
         except BaseException:
             if self._session is None:
                 node.close()
@@ -156,8 +145,8 @@ class V4l2Device:
             )
         self._facts = self._describe(self._session)
         return DeviceCapabilities(
-            exposure_range_s=exposure_scale.range_s if exposure_scale else (made.time_s, made.time_s),
-            gain_range=gain_scale.range if gain_scale else (made.gain, made.gain),
+            exposure_range_s=setting.time.range_s if setting.time else (made.time_s, made.time_s),
+            gain_range=setting.gain.range if setting.gain else (made.gain, made.gain),
             settle_frames=_SETTLE_FRAMES,
             device_clock=queue.is_monotonic,
         )
@@ -175,72 +164,6 @@ class V4l2Device:
         hdr = self._table.hdr
         bracket = (len(hdr.exposures_s) or hdr.num_exposures) if isinstance(hdr, BracketTable) else 1
         return max(_FEWEST_BUFFERS, bracket + 3)
-
-    def _set_blanking(self, controls: ControlSet, timing: LineTiming | None) -> float | None:
-        """Set the frame rate of a bare sensor by its vertical blanking; returns the rate, None where that is not known."""
-        blank = controls.find(api.ControlId.VBLANK)
-        if timing is None or blank is None:
-            return None
-        lines = controls.get(blank)
-        if blank.can_be_set:
-            lines = controls.set(blank, blank.nearest(timing.blank_lines(self._height, self._frame_rate)))
-        return 1.0 / (timing.line_s * (self._height + lines))
-
-    def _first_exposure(
-        self, controls: ControlSet, scale: ExposureScale | None, gain_scale: GainScale | None
-    ) -> Exposure:
-        """The exposure to begin with.
-
-        Raises:
-            CaptureError: the room file asks for what the camera does not have.
-        """
-        table = self._table
-        gain = 10 ** (table.gain_db / 20)
-        if gain_scale is None:
-            self._fix_gain(controls)
-        elif not _within(gain, gain_scale.range):
-            low, high = (20 * math.log10(limit) for limit in gain_scale.range)
-            raise CaptureError(f"gain_db: expected {low:.3g} to {high:.3g}, found {table.gain_db:g}")
-        if scale is None:
-            return self._declared_exposure(controls, gain)
-        if table.exposure_s is None:
-            time_s = scale.seconds(scale.value(scale.seconds(scale.control.default)))
-        else:
-            time_s = table.exposure_s
-            if not _within(time_s, scale.range_s, slack=0.5 * scale.unit_s):
-                low, high = scale.range_s
-                raise CaptureError(f"exposure_s: expected {low:.6g} to {high:.6g} s, found {time_s:g} s")
-        return Exposure(time_s=time_s, gain=gain)
-
-    def _fix_gain(self, controls: ControlSet) -> None:
-        """Put a gain control of unknown meaning to its least value, so that it does not depend on who used the camera before.
-
-        Raises:
-            CaptureError: the room file asks for a gain.
-        """
-        control = find_gain_control(controls)
-        if self._table.gain_db != 0:
-            what = (
-                "the camera has no gain control" if control is None else f"nothing says what {control} means"
-            )
-            raise CaptureError(f"gain_db: expected 0, found {self._table.gain_db:g}: {what}; see gain_steps")
-        if control is not None and control.name not in {spell(name) for name in self._table.controls}:
-            controls.set(control, control.minimum)
-
-    def _declared_exposure(self, controls: ControlSet, gain: float) -> Exposure:
-        """The exposure of a camera that cannot set it: as the room file says, else one frame."""
-        lines = controls.find(api.ControlId.EXPOSURE)
-        if lines is not None:
-            self._warnings.append(
-                f"the unit of control {lines} is not known, so the exposure cannot be set: give exposure_unit_s "
-                "(seconds of one unit) in the room file"
-            )
-        elif self._table.exposure_s is None:
-            self._warnings.append(
-                "the camera has no exposure control: exposure_s in the room file should say how it exposes; "
-                "one frame time is assumed"
-            )
-        return Exposure(time_s=self._table.exposure_s or 1.0 / self._frame_rate, gain=gain)
 
     def _note_rate(self, rate: float | None) -> None:
         if rate is not None and abs(rate - self._frame_rate) > _RATE_TOLERANCE * self._frame_rate:
@@ -273,7 +196,7 @@ class V4l2Device:
             while (waiting := session.queue.take()) is not None:
                 self._counter.unwrap(waiting.sequence)
                 session.queue.put(waiting.index)
-            session.exposure = _apply(session.controls, session.exposure_scale, session.gain_scale, exposure)
+            session.exposure = session.setting.apply(exposure)
         return session.exposure
 
     def read_exposure(self) -> Exposure:
@@ -284,7 +207,7 @@ class V4l2Device:
         """
         session = self._opened()
         with self._in_words("read the exposure"):
-            return _read(session.controls, session.exposure_scale, session.gain_scale, session.exposure)
+            return session.setting.read(session.exposure)
 
     def trigger(self) -> None:
         """V4L2 has no trigger.
@@ -420,30 +343,3 @@ def _picture_queue(identity: Identity) -> api.BufferType:
             "(its name under /dev/v4l/by-id ends in -video-index0)"
         )
     raise CaptureError(f"'{identity.card}' (driver {identity.driver}) captures no pictures by streaming")
-
-
-def _apply(
-    controls: ControlSet, scale: ExposureScale | None, gain_scale: GainScale | None, wish: Exposure
-) -> Exposure:
-    """Set exposure time and gain, clamped to what there is; returns what the camera has then."""
-    time_s, gain = wish.time_s, wish.gain
-    if scale is not None:
-        time_s = scale.seconds(controls.set(scale.control, scale.value(time_s)))
-    if gain_scale is not None:
-        gain = gain_scale.gain(controls.set(gain_scale.control, gain_scale.value(gain)))
-    return Exposure(time_s=time_s, gain=gain)
-
-
-def _read(
-    controls: ControlSet, scale: ExposureScale | None, gain_scale: GainScale | None, last: Exposure
-) -> Exposure:
-    """Exposure time and gain now; what cannot be read is as it was set last."""
-    return Exposure(
-        time_s=scale.seconds(controls.get(scale.control)) if scale else last.time_s,
-        gain=gain_scale.gain(controls.get(gain_scale.control)) if gain_scale else last.gain,
-    )
-
-
-def _within(value: float, limits: tuple[float, float], slack: float = 0.0) -> bool:
-    low, high = limits
-    return low * (1 - 1e-6) - slack <= value <= high * (1 + 1e-6) + slack

@@ -58,6 +58,27 @@ def read_line_timing(controls: ControlSet, width: int) -> LineTiming | None:
     return LineTiming(pixel_rate, width + controls.get(blank)) if pixel_rate > 0 else None
 
 
+def set_blanking(controls: ControlSet, timing: LineTiming, height: int, frame_rate: float) -> float | None:
+    """Set the frame rate of a bare sensor by its vertical blanking; returns the rate then, None where the driver does not tell.
+
+    Args:
+        controls: of the camera.
+        timing: how the sensor is read.
+        height: lines that it shows.
+        frame_rate: frames per second.
+
+    Raises:
+        CaptureError: the camera refuses.
+        OSError: it is gone.
+    """
+    blank = controls.find(ControlId.VBLANK)
+    if blank is None:
+        return None
+    wanted = blank.nearest(timing.blank_lines(height, frame_rate))
+    lines = controls.set(blank, wanted) if blank.can_be_set else controls.get(blank)
+    return 1.0 / (timing.line_s * (height + lines))
+
+
 @dataclass(frozen=True, slots=True)
 class ExposureScale:
     """An exposure control and the time of one of its units.

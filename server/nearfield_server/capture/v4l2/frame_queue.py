@@ -58,15 +58,22 @@ class FrameQueue:
         node.call(api.Request.REQBUFS, answer)
         if answer.count < 2:
             raise CaptureError(f"the driver gives {answer.count} buffers; expected two or more")
-        for index in range(answer.count):
+        try:
+            self._map_all(answer.count)
+        except BaseException:
+            self.stop()
+            raise
+
+    def _map_all(self, count: int) -> None:
+        for index in range(count):
             buffer, planes = self._blank(index)
-            node.call(api.Request.QUERYBUF, buffer)
+            self._node.call(api.Request.QUERYBUF, buffer)
             length, offset = (
                 (planes[0].length, planes[0].mem_offset)
                 if self._is_planar
                 else (buffer.length, buffer.offset)
             )
-            self._memory.append(node.map(length, offset))
+            self._memory.append(self._node.map(length, offset))
             self.is_monotonic = _is_monotonic(buffer.flags)
 
     def __len__(self) -> int:

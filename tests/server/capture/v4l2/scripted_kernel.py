@@ -117,6 +117,7 @@ class ScriptedCamera:
         self.broken = False
         self.open_error: int | None = None
         self.stream_error: int | None = None
+        self.map_error_at: int | None = None  # no memory for the mapping of this buffer
         self.forgets_exposure_at_start = False
         self.stopped = False  # by the driver: nothing comes any more, and poll says so
         self.after_write: Callable[[], object] = lambda: None  # limits that depend on other controls
@@ -222,6 +223,8 @@ class ScriptedCamera:
         return count
 
     def map(self, index: int) -> NDArray[np.uint8]:
+        if index == self.map_error_at:
+            raise fail(errno.ENOMEM)
         view = np.frombuffer(self._storage[index], np.uint8)
         self._views.append(weakref.ref(view))
         return view

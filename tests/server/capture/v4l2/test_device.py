@@ -190,6 +190,16 @@ def test_a_full_usb_bus_says_what_to_do() -> None:
     assert camera.owner is None
 
 
+def test_a_start_without_memory_leaves_the_queue_to_others() -> None:
+    camera = ScriptedCamera()
+    camera.map_error_at = 2
+    with pytest.raises(CaptureError, match="no memory") as caught:
+        device_of(camera).open()
+    assert caught.value.__traceback__ is not None  # it keeps what was mapped alive
+    assert camera.owner is None
+    assert camera.open_nodes == 0
+
+
 def test_a_size_or_format_that_is_not_there_lists_what_is() -> None:
     camera = ScriptedCamera(
         formats={"GREY": [(64, 48), (32, 24)], "RG12": [(64, 48)], "YUYV": [(64, 48)], "H264": [(64, 48)]}
