@@ -22,6 +22,7 @@ TABLES: dict[str, type[BaseModel]] = {
     "objects.": room_schema.ObjectTable,
     "views.": room_schema.ViewTable,
     "remote.": room_schema.RemoteTable,
+    "device.": device_schema.SensorTable,
     "aravis.": device_schema.AravisSourceTable,
     "v4l2.": device_schema.V4l2SourceTable,
 }
