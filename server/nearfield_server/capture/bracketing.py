@@ -156,6 +156,7 @@ class Bracketing:
             self.method = FreeRunning(device, clock, settle, is_free=is_free)
         self.counters = BracketCounters()
         self._recent: deque[bool] = deque(maxlen=_RECENT)
+        self._unverified: deque[bool] = deque(maxlen=_RECENT)
         self._shift = 0
         self._other_shifts: deque[int] = deque(maxlen=_CONSISTENT)
         self._words = ""
@@ -180,6 +181,11 @@ class Bracketing:
             words.append(
                 f"{dropped} of the last {len(self._recent)} brackets were dropped because the pictures do not fit their exposures: "
                 "light that flickers or changes fast, or another program changes the exposure"
+            )
+        if sum(self._unverified) > _RECENT // 2:
+            words.append(
+                "exposures cannot be checked, because hardly any pixel is well exposed in two of them: "
+                "the room is too dark for the exposures, or they are too far apart"
             )
         return words
 
@@ -228,7 +234,9 @@ class Bracketing:
             return None
         self._other_shifts.clear()
         self.counters.complete += 1
-        self.counters.unverified += not any(math.isfinite(r) for _, _, r in ratios)
+        is_unverified = not any(math.isfinite(r) for _, _, r in ratios)
+        self._unverified.append(is_unverified)
+        self.counters.unverified += is_unverified
         count = len(amounts)
         shots = [self._shots[index] for index in range(count)]
         return Bracket(
@@ -241,6 +249,8 @@ class Bracketing:
 
     def _learn(self, shift: int | None) -> None:
         """Correct the labels once the same shift was seen several times in a row."""
+        if isinstance(self.method, SoftwareTrigger):
+            self.method.sets_early = False
         if shift is None:
             self._other_shifts.clear()
             return

@@ -32,6 +32,8 @@ _LATE_PICTURES: Final = 20
 """All pictures for so long so late: it was set back."""
 _HOPELESS_S: Final = 1.0
 _SETTLED_S: Final = 10.0
+_YOUNG_SKEW: Final = 1e-4
+"""In the first seconds jitter tilts the line more than any clock: until then it is as steep as clocks usually are, at most."""
 _HELD_SKEW: Final = 2e-5
 """After a jump the oscillator is still the same: until the new window is long enough the skew stays this close to the one before."""
 _WRAP_TICKS_NS: Final = (1, 8, 10, 100, 1000)
@@ -223,11 +225,14 @@ class ClockMap:
         for point in self._blocks[-1].hull:
             append_to_hull(hull, point)
         mean_x = sum(block.sum_x for block in self._blocks) / sum(block.count for block in self._blocks)
-        least, greatest = -self._max_skew, self._max_skew
         is_settled = self.span_s >= min(_SETTLED_S, 0.5 * self._window_s)
-        if self._known_skew is not None and not is_settled:
-            least, greatest = self._known_skew - _HELD_SKEW, self._known_skew + _HELD_SKEW
-        self._slope, self._height = supporting_line(hull, mean_x, least, greatest)
+        if is_settled:
+            likely, around = 0.0, self._max_skew
+        elif self._known_skew is not None:
+            likely, around = self._known_skew, _HELD_SKEW
+        else:
+            likely, around = 0.0, min(_YOUNG_SKEW, self._max_skew)
+        self._slope, self._height = supporting_line(hull, mean_x, likely - around, likely + around)
         if is_settled:
             self._known_skew = self._slope
 

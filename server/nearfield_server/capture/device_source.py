@@ -68,7 +68,7 @@ class PictureMaker(Protocol):
     def warnings(self) -> list[str]:
         """What a user should know, in words."""
 
-    def develop(self, frame: SensorFrame, exposure: Exposure, out: NDArray[np.float32]) -> int:
+    def develop(self, frame: SensorFrame, exposure: Exposure, out: NDArray[np.float16]) -> int:
         """Write the radiance of one picture to `out` (H, W, 4); returns the number of saturated pixels."""
 
     def store(self, index: int, frame: SensorFrame) -> None:
@@ -77,7 +77,7 @@ class PictureMaker(Protocol):
     def ratios(self, exposures: Sequence[Exposure]) -> list[tuple[int, int, float]]:
         """Measured ratios of the signals of the stored pictures, see `bracketing.find_shift`."""
 
-    def merge(self, exposures: Sequence[Exposure], out: NDArray[np.float32]) -> int:
+    def merge(self, exposures: Sequence[Exposure], out: NDArray[np.float16]) -> int:
         """Write the radiance of the stored pictures to `out`; returns the number of pixels saturated in all of them."""
 
     def first_plan(
@@ -110,7 +110,7 @@ class DeviceSource:
         """
         self._camera, self._device, self._darkroom, self._clock = camera, device, darkroom, clock
         self._stream = FrameStream(device, camera.camera_id, clock, 1.0 / camera.frame_rate)
-        self._picture = np.zeros((camera.height, camera.width, 4), np.float32)
+        self._picture = np.zeros((camera.height, camera.width, 4), np.float16)
         self._watch = FrozenWatch()
         self._frozen_since_ns: int | None = None
         self._is_open = False
@@ -431,6 +431,7 @@ class DeviceSource:
                 "brackets": counters.complete,
                 "brackets_broken": counters.broken,
                 "brackets_inconsistent": counters.inconsistent,
+                "brackets_unverified": counters.unverified,
                 "frames_unused": bracketing.method.frames_unused,
                 "bracket_rate": None
                 if not self._bracket_period_s

@@ -16,7 +16,7 @@ from nearfield_server.capture.device import DeviceCapabilities, Exposure, Sensor
 MethodName = Literal["sequencer", "software_trigger", "free_running"]
 LABEL_TOLERANCE: Final = 0.03
 """Relative difference up to which a labelled exposure is the one that was asked for; devices round, and report in other units."""
-_LATE_S: Final = 0.5
+_LATE_S: Final = 0.25
 _ATTEMPTS: Final = 3
 _ON_ITS_WAY_S: Final = 0.1
 _MOST_STRAYS: Final = 16
@@ -126,7 +126,11 @@ class Sequencer:
 class SoftwareTrigger:
     """Set, ask, take: each picture has the exposure that was set before it was asked for.
 
-    The next exposure is set while the picture is read out and sent, as soon as its own exposure must be over.
+    The next exposure is set while the picture is read out and sent, as soon as its own exposure must be over; where that turns out to
+    be too early (`sets_early`), after it has arrived.
+
+    Attributes:
+        sets_early: set the next exposure before the picture has arrived. Cameras that expose some time after the trigger do not bear it.
     """
 
     name: MethodName = "software_trigger"
@@ -143,6 +147,7 @@ class SoftwareTrigger:
         self.exposures: tuple[Exposure, ...] = ()
         self.frames_unused = 0
         self.triggers_lost = 0
+        self.sets_early = True
         self._plan: tuple[Exposure, ...] = ()
         self._begun_ns = -self._period_ns
         self._is_switched = False
@@ -169,7 +174,7 @@ class SoftwareTrigger:
             self._triggered_ns = self._clock()
             self._device.trigger()
         exposed_ns = self._triggered_ns + round(1.1e9 * self.exposures[self._index].time_s)
-        if self._set == self._index and len(self._plan) > 1:
+        if self.sets_early and self._set == self._index and len(self._plan) > 1:
             frame = self._next(min(end_ns, exposed_ns))
             if frame is None and self._clock() < exposed_ns:
                 return None

@@ -65,12 +65,13 @@ class FrameStream:
         self._has_delivered = False
         self._synchronised = False
         self._is_host_clock = False
+        self._is_triggered = False
 
     def open(self) -> DeviceCapabilities:
         """Open the device; its clock and its numbers begin anew."""
         capabilities = self._device.open()
         self.clock_map.restart()
-        self._last_id, self._has_delivered = None, False
+        self._last_id, self._has_delivered, self._is_triggered = None, False, False
         self._alive_ns = self._clock()
         return capabilities
 
@@ -122,6 +123,9 @@ class FrameStream:
     def _check_alive(self) -> None:
         silent_s = (self._clock() - self._alive_ns) * 1e-9
         limit_s = silence_limit_s(self._period_s, self.longest_exposure_s)
+        if self._is_triggered:
+            # A lost picture is asked for again first.
+            limit_s = max(limit_s, _GREATEST_LIMIT_S)
         if not self._has_delivered:
             limit_s = max(limit_s, FIRST_FRAME_S)
         if silent_s <= limit_s:
@@ -156,6 +160,7 @@ class FrameStream:
     def use_trigger(self, software: bool) -> None:
         """On request, or free running."""
         self._device.use_trigger(software)
+        self._is_triggered = software
 
     def program_sequence(self, exposures: Sequence[Exposure]) -> tuple[Exposure, ...]:
         """Cycle through exposures."""

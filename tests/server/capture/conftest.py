@@ -43,6 +43,7 @@ class ScriptedDevice:
         clock: virtual time.
         scene: radiance (H, W) at a time in seconds; it is sampled in the middle of the exposure.
         effect_frames: free-running pictures after a change that still have the old exposure.
+        trigger_delay_s: from a trigger to the exposure; the setting is read then.
         trigger_lag: triggered pictures have the setting of so many settings before.
         label_lag: labels are those of so many pictures before; -1 = none.
         lost: (frame id) -> whether the picture is lost on the way.
@@ -61,6 +62,7 @@ class ScriptedDevice:
         default_factory=lambda: DeviceCapabilities(exposure_range_s=(1e-5, 1.0), device_clock=True)
     )
     effect_frames: int = 1
+    trigger_delay_s: float = 0.0
     trigger_lag: int = 0
     label_lag: int = -1
     lost: Callable[[int], bool] = lambda _id: False
@@ -95,6 +97,7 @@ class ScriptedDevice:
     def open(self) -> DeviceCapabilities:
         assert not self._is_open
         self.opened += 1
+        self.clock.advance(0.05)
         if self.gone(self.clock.now_ns * 1e-9):
             raise CaptureError("camera scripted: no answer; is it switched on?")
         self._is_open, self._software = True, False
@@ -102,6 +105,7 @@ class ScriptedDevice:
         self._queue: deque[SensorFrame] = deque()
         self._waiting: deque[tuple[int, int]] = deque()
         self._next_start_ns = self.clock.now_ns
+        self._due_ns: deque[int] = deque()
         self._commanded = Exposure(time_s=0.005)
         self.commands = [(self.clock.now_ns - 10**12, self._commanded)]
         return self.capabilities
@@ -135,7 +139,8 @@ class ScriptedDevice:
     def trigger(self) -> None:
         assert self._software
         self.triggers += 1
-        self._expose(self.clock.now_ns, self._in_effect(self.clock.now_ns))
+        self._due_ns.append(self.clock.now_ns + round(self.trigger_delay_s * 1e9))
+        self._catch_up(self.clock.now_ns)
 
     def use_trigger(self, software: bool) -> None:
         assert self._is_open
@@ -202,7 +207,10 @@ class ScriptedDevice:
         )
 
     def _catch_up(self, until_ns: int) -> None:
-        """Free-running pictures whose exposure begins up to a time."""
+        """Pictures whose exposure begins up to a time."""
+        while self._due_ns and self._due_ns[0] <= until_ns:
+            start_ns = self._due_ns.popleft()
+            self._expose(start_ns, self._in_effect(start_ns))
         while not self._software and self._next_start_ns <= until_ns:
             start_ns = self._next_start_ns
             exposure = (
@@ -231,6 +239,8 @@ class ScriptedDevice:
                 times.append(self._queue[0].arrival_ns)
             if not self._software:
                 times.append(self._next_start_ns)
+            elif self._due_ns:
+                times.append(self._due_ns[0])
             self.clock.now_ns = max(self.clock.now_ns, min(times))
 
     def release(self, frame: SensorFrame) -> None:

@@ -185,6 +185,18 @@ def test_settings_that_a_triggered_sensor_applies_late_are_corrected(
     assert len(brackets) > 30
 
 
+def test_a_camera_that_exposes_long_after_the_trigger_is_not_hurried(
+    make_device: Callable[..., Any], clock: Any
+) -> None:
+    rig = Rig(make_device(SCENE, capabilities=TRIGGER, trigger_delay_s=0.04), clock)
+    rig.bracketing.start(EXPOSURES)
+    brackets = rig.run(10.0)
+    rig.assert_true(brackets)
+    assert len(brackets) > 25
+    assert rig.bracketing.counters.inconsistent <= 2
+    assert rig.bracketing.warnings == []
+
+
 @pytest.mark.parametrize("effect", [3, 4, 5])
 def test_a_sensor_that_is_slower_than_its_settle_frames_gets_more_of_them(
     effect: int, make_device: Callable[..., Any], clock: Any

@@ -10,68 +10,19 @@ from typing import Any
 import numpy as np
 import pytest
 
-from nearfield_server.capture.device import DeviceCapabilities, Exposure, SensorFrame
+from nearfield_server.capture.darkroom import Darkroom
+from nearfield_server.capture.device import DeviceCapabilities, Exposure
 from nearfield_server.capture.device_source import DeviceCamera, DeviceSource, pictures_per_second
 from nearfield_server.capture.source import RawFrame
 from nearfield_server.errors import CaptureError
-from nearfield_server.scene.device_schema import AravisSourceTable, BracketTable
+from nearfield_server.scene.device_schema import AravisSourceTable
 
-HEIGHT, WIDTH = 24, 32
+HEIGHT, WIDTH = 128, 256  # labels are checked by blocks of 8 x 64 pixels
 CODES = 4095.0
 RNG = np.random.default_rng(1)
 SCENE = np.exp(RNG.uniform(np.log(0.5), np.log(150.0), (HEIGHT, WIDTH)))
 BRACKET = {"mode": "bracket", "exposures_s": (0.08, 0.02, 0.005, 0.00125)}
 TRIGGER = DeviceCapabilities(exposure_range_s=(1e-5, 1.0), software_trigger=True, device_clock=True)
-
-
-class PlainDarkroom:
-    """Mono12 to grey radiance in float64."""
-
-    def __init__(self) -> None:
-        self.pixel_format = ""
-        self.warnings: list[str] = []
-        self.codes: dict[int, np.ndarray] = {}
-        self.plans: list[tuple[Exposure, ...]] = []
-
-    def _read(self, frame: SensorFrame) -> np.ndarray:
-        self.pixel_format = frame.pixel_format
-        return frame.data.view("<u2").reshape(HEIGHT, WIDTH).astype(np.float64)
-
-    def develop(self, frame: SensorFrame, exposure: Exposure, out: np.ndarray) -> int:
-        codes = self._read(frame)
-        out[..., :3] = (codes / CODES / exposure.amount)[..., None]
-        out[..., 3] = np.where(codes >= 4000, 0.75, 1.0)
-        return int((codes >= 4000).sum())
-
-    def store(self, index: int, frame: SensorFrame) -> None:
-        self.codes[index] = self._read(frame)
-
-    def ratios(self, exposures: Sequence[Exposure]) -> list[tuple[int, int, float]]:
-        found = []
-        for index in range(len(exposures) - 1):
-            left, right = self.codes[index], self.codes[index + 1]
-            both = (left < 4000) & (right < 4000) & (left + right > 60)
-            found.append((index, index + 1, float(left[both].sum() / right[both].sum())))
-        return found
-
-    def merge(self, exposures: Sequence[Exposure], out: np.ndarray) -> int:
-        codes = np.stack([self.codes[index] for index in range(len(exposures))])
-        amounts = np.array([exposure.amount for exposure in exposures])[:, None, None]
-        valid = codes < 4000
-        total = (codes * valid).sum(0) / np.maximum((amounts * valid).sum(0), 1e-12) / CODES
-        everywhere = ~valid.any(0)
-        total[everywhere] = 4000 / CODES / amounts.min()
-        out[..., :3] = total[..., None]
-        out[..., 3] = np.where(everywhere, 0.75, 1.0)
-        return int(everywhere.sum())
-
-    def first_plan(
-        self, table: BracketTable, capabilities: DeviceCapabilities, gain: float
-    ) -> tuple[Exposure, ...]:
-        return tuple(Exposure(time_s=time_s, gain=gain) for time_s in table.exposures_s)
-
-    def next_plan(self, exposures: Sequence[Exposure]) -> tuple[Exposure, ...] | None:
-        return self.plans.pop(0) if self.plans else None
 
 
 Rig = Callable[..., tuple[DeviceSource, Any]]
@@ -91,7 +42,9 @@ def rig(make_device: Callable[..., Any], clock: Any) -> Rig:
             camera_id="cam0", table=source_table, height=HEIGHT, width=WIDTH, frame_rate=rate
         )
         device = make_device(scene, period_s=1.0 / rate, **script)
-        return DeviceSource(camera, device, PlainDarkroom(), clock=clock), device
+        return DeviceSource(
+            camera, device, Darkroom("cam0", source_table, WIDTH, HEIGHT), clock=clock
+        ), device
 
     return make
 
@@ -121,13 +74,19 @@ def _run(source: DeviceSource, clock: Any, seconds: float, busy_s: float = 0.0) 
 
 
 def _assert_radiance(frames: Sequence[RawFrame], device: Any, sigmas: float = 6.0) -> None:
-    """Within the noise of the scene that was there; the noise of the sums of all exposures that were not saturated."""
+    """Within the noise of the scene that was there, and of half floats."""
     for frame in frames:
         shown = [device.shown[number] for number in frame.metadata["frame_ids"]]
         low, high = np.min(shown, axis=0), np.max(shown, axis=0)
         amounts = np.array(frame.metadata["exposures_s"]) * np.array(frame.metadata["gains"])
-        used = sum(amount * (high * amount * CODES < 3800) for amount in amounts)
-        sd = np.sqrt(high * used * CODES + len(amounts) * 1.5) / np.maximum(used * CODES, 1e-9)
+        # Weights are the amounts: a mean of signal / amount weighted with amount^2, over what is not saturated.
+        valid = [high * amount * CODES < 3800 for amount in amounts]
+        used = sum(amount**2 * each for amount, each in zip(amounts, valid, strict=True))
+        noise = sum(
+            amount**2 * each * (high * amount / CODES + 1.2 / CODES**2)
+            for amount, each in zip(amounts, valid, strict=True)
+        )
+        sd = np.sqrt(noise) / np.maximum(used, 1e-12) + high * 2.0**-11
         found = frame.pixels[..., 0]
         is_bound = (frame.pixels[..., 3] < 1.0) | (used == 0)
         assert (found[~is_bound] > (low - sigmas * sd)[~is_bound]).all()
@@ -233,10 +192,10 @@ def test_a_hardware_trigger_leads_the_camera(rig: Rig, clock: Any) -> None:
     assert source.describe()["hdr_method"] == "free_running"
 
 
-def test_a_new_plan_is_taken_up(rig: Rig, clock: Any) -> None:
+def test_a_new_plan_is_taken_up(rig: Rig, clock: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     source, device = rig(table={"hdr": BRACKET}, capabilities=TRIGGER)
-    plan = (Exposure(time_s=0.04), Exposure(time_s=0.004))
-    source._darkroom.plans.append(plan)  # type: ignore[attr-defined]
+    plans = [(Exposure(time_s=0.04), Exposure(time_s=0.004))]
+    monkeypatch.setattr(Darkroom, "next_plan", lambda self, exposures: plans.pop(0) if plans else None)
     source.open()
     frames = _run(source, clock, 5.0)
     assert len(frames[0].metadata["exposures_s"]) == 4
