@@ -10,6 +10,9 @@ from numpy.typing import NDArray
 
 from nearfield_calibration.fisheye import unproject
 from nearfield_calibration.models import FisheyeIntrinsics
+from nearfield_server.capture.darkroom import Darkroom
+from nearfield_server.capture.device import Device
+from nearfield_server.capture.device_source import DeviceCamera, DeviceSource
 from nearfield_server.capture.exr_sequence import ExrSequence, ExrSequenceSource
 from nearfield_server.capture.lab_source import LabCamera, LabSource, Timeline
 from nearfield_server.capture.recording_source import RecordedCamera, RecordingSource
@@ -18,10 +21,9 @@ from nearfield_server.capture.sensor_model import SensorModel
 from nearfield_server.capture.source import Source
 from nearfield_server.errors import ConfigError
 from nearfield_server.scene.bundle import SCENE_FILE, load_bundle
-from nearfield_server.scene.device_schema import RemoteSourceTable
+from nearfield_server.scene.device_schema import AravisSourceTable, RemoteSourceTable, V4l2SourceTable
 from nearfield_server.scene.room_config import (
     ExrSequenceSourceConfig,
-    LabSourceConfig,
     RecordingSourceConfig,
     RoomConfig,
     SourceConfig,
@@ -65,11 +67,11 @@ def make_source(room: RoomConfig, camera_index: int, options: dict[str, Any]) ->
     Raises:
         ConfigError: an option does not fit the room.
     """
-    camera = room.cameras[camera_index]
+    camera, source = room.cameras[camera_index], room.sources[camera_index]
     plan = SourcePlan(
         camera_id=camera.camera_id,
         camera_index=camera_index,
-        config=room.sources[camera_index],
+        config=source,
         height=camera.intrinsics.height,
         width=camera.intrinsics.width,
         frame_rate=room.frame_rate,
@@ -77,6 +79,9 @@ def make_source(room: RoomConfig, camera_index: int, options: dict[str, Any]) ->
         timeline=load_timeline(room, options["timeline"]) if options.get("timeline") else None,
         sensor=options.get("sensor"),
         room_name=room.name,
+        circle=image_circle(camera.intrinsics)
+        if isinstance(source, AravisSourceTable | V4l2SourceTable)
+        else None,
         gate_port=int(options.get("gate_port", 0)),
         replay=options.get("replay") or {},
     )
@@ -96,6 +101,7 @@ class SourcePlan:
         lights: switchable lights of a simulated room.
         timeline: lighting sequence that simulated cameras play.
         sensor: fields of `SensorModel` for simulated cameras; None = exact pictures.
+        circle: (H, W) bool, where the lens shows anything, for brackets chosen from the picture; None = everywhere.
         room_name: name of the room, for cameras of other machines.
         gate_port: port on loopback where they come in.
         replay: fields of `RecordedCamera` for recorded cameras.
@@ -110,17 +116,14 @@ class SourcePlan:
     lights: tuple[SwitchableLight, ...] = ()
     timeline: Timeline | None = None
     sensor: dict[str, float] | None = None
+    circle: NDArray[np.bool_] | None = None
     room_name: str = ""
     gate_port: int = 0
     replay: dict[str, Any] = field(default_factory=dict)
 
 
 def build_source(plan: SourcePlan) -> Source:
-    """Build a source; `open()` is left to the caller.
-
-    Raises:
-        ConfigError: there is no such kind of source here.
-    """
+    """Build a source; `open()` is left to the caller."""
     source = plan.config
     if isinstance(source, ExrSequenceSourceConfig):
         return ExrSequenceSource(
@@ -155,8 +158,8 @@ def build_source(plan: SourcePlan) -> Source:
                 **plan.replay,
             )
         )
-    if not isinstance(source, LabSourceConfig):
-        raise ConfigError(f"camera {plan.camera_id}: sources of kind {source.kind} are not built yet")
+    if isinstance(source, AravisSourceTable | V4l2SourceTable):
+        return _device_source(plan, source)
     scales = np.array(
         [np.asarray(light.radiance) / light.basis_radiance for light in plan.lights], np.float64
     )
@@ -175,3 +178,25 @@ def build_source(plan: SourcePlan) -> Source:
             width=plan.width,
         )
     )
+
+
+def _device_source(plan: SourcePlan, table: AravisSourceTable | V4l2SourceTable) -> DeviceSource:
+    size = plan.width, plan.height
+    device: Device
+    # Only processes of such cameras load what speaks to them.
+    if isinstance(table, AravisSourceTable):
+        from nearfield_server.capture.aravis.device import AravisDevice
+
+        device = AravisDevice(plan.camera_id, table, *size, plan.frame_rate)
+    else:
+        from nearfield_server.capture.v4l2.device import V4l2Device
+
+        device = V4l2Device(plan.camera_id, table, *size, plan.frame_rate)
+    camera = DeviceCamera(
+        camera_id=plan.camera_id,
+        table=table,
+        height=plan.height,
+        width=plan.width,
+        frame_rate=plan.frame_rate,
+    )
+    return DeviceSource(camera, device, Darkroom(plan.camera_id, table, *size, plan.circle))

@@ -10,6 +10,13 @@ from numpy.typing import NDArray
 
 from nearfield_server.capture.device import DeviceCapabilities, Exposure, SensorFrame
 from nearfield_server.errors import CaptureError, ConfigError
+from nearfield_server.imaging.bracket_plan import (
+    BracketLimits,
+    BracketPlan,
+    first_bracket,
+    plan_bracket,
+    radiance_histogram,
+)
 from nearfield_server.imaging.development import Developer
 from nearfield_server.scene.device_schema import BracketTable, DeviceSourceTable
 
@@ -21,7 +28,14 @@ SHORTEST_S: Final = 5e-5
 class Darkroom:
     """Develops the pictures of one camera; see `device_source.PictureMaker`."""
 
-    def __init__(self, camera_id: str, table: DeviceSourceTable, width: int, height: int) -> None:
+    def __init__(
+        self,
+        camera_id: str,
+        table: DeviceSourceTable,
+        width: int,
+        height: int,
+        circle: NDArray[np.bool_] | None = None,
+    ) -> None:
         """Nothing is known of the pixel format before the first picture.
 
         Args:
@@ -29,10 +43,14 @@ class Darkroom:
             table: of the room file.
             width: pixels expected.
             height: pixels expected.
+            circle: (H, W) bool, where the lens shows anything: what lies outside asks for no exposure. None = everywhere.
         """
-        self._camera_id, self._table = camera_id, table
+        self._camera_id, self._table, self._circle = camera_id, table, circle
         self._width, self._height = width, height
         self._developer: Developer | None = None
+        self._merged: NDArray[np.float16] | None = None
+        self._limits: BracketLimits | None = None
+        self._asked, self._gain = 0, 1.0
         self.pixel_format = ""
 
     @property
@@ -66,24 +84,48 @@ class Darkroom:
         """Write the radiance of the stored pictures to `out`; returns the number of pixels that are only lower bounds."""
         developer = self._developed()
         developer.merge([exposure.amount for exposure in exposures], out)
+        self._merged = out
         return developer.saturated
 
     def first_plan(
         self, table: BracketTable, capabilities: DeviceCapabilities, gain: float
     ) -> tuple[Exposure, ...]:
-        """Exposures to begin with: those of the room file, else evenly spread (in stops) over what room file and device allow."""
+        """Exposures to begin with: those of the room file, else all that room file and device allow.
+
+        Raises:
+            CaptureError: the exposures of the device cannot be chosen within these limits.
+        """
         least_s, greatest_s = capabilities.exposure_range_s
+        self._limits, self._asked, self._gain = None, 0, gain
         if table.exposures_s:
             times_s = table.exposures_s
         else:
             longest_s = min(table.longest_s or LONGEST_S, greatest_s)
-            shortest_s = min(max(table.shortest_s or SHORTEST_S, least_s), longest_s)
-            times_s = tuple(np.geomspace(longest_s, shortest_s, table.num_exposures).tolist())
+            shortest_s = max(table.shortest_s or SHORTEST_S, least_s)
+            if shortest_s >= longest_s:
+                raise CaptureError(
+                    f"camera {self._camera_id}: exposures can be set from {least_s:g} s to {greatest_s:g} s, and the room file "
+                    f"asks for a bracket from {shortest_s:g} s to {longest_s:g} s; expected a range, so change hdr.shortest_s or longest_s"
+                )
+            self._limits = BracketLimits(
+                shortest=shortest_s * gain,
+                longest=longest_s * gain,
+                num_exposures=table.num_exposures,
+                full_radiance=self._table.radiance_per_code,
+            )
+            times_s = tuple(amount / gain for amount in first_bracket(self._limits).amounts)
         return tuple(Exposure(time_s=min(max(time_s, least_s), greatest_s), gain=gain) for time_s in times_s)
 
     def next_plan(self, exposures: Sequence[Exposure]) -> tuple[Exposure, ...] | None:
-        """Better exposures for what was merged last; None = those in use are fine, or are given."""
-        return None
+        """Better exposures for what was merged last; None = those in use are good enough, or are given."""
+        if self._limits is None or self._merged is None:
+            return None
+        present = BracketPlan(amounts=tuple(exposure.amount for exposure in exposures), asked=self._asked)
+        better = plan_bracket(radiance_histogram(self._merged, self._circle), present, self._limits)
+        self._asked = better.asked
+        if better.amounts == present.amounts:
+            return None
+        return tuple(Exposure(time_s=amount / self._gain, gain=self._gain) for amount in better.amounts)
 
     def _developed(self) -> Developer:
         if self._developer is None:
