@@ -21,6 +21,7 @@ from nearfield_server.capture.frame_stream import FrameStream
 from nearfield_server.capture.picture_watch import FrozenWatch, exposure_differs
 from nearfield_server.capture.source import RawFrame
 from nearfield_server.errors import CaptureError
+from nearfield_server.imaging.development import compile_kernels
 from nearfield_server.scene.device_schema import AravisSourceTable, BracketTable, DeviceSourceTable
 
 _SLICE_S: Final = 0.05
@@ -136,6 +137,7 @@ class DeviceSource:
         Raises:
             CaptureError: in words, from the device.
         """
+        compile_kernels()
         capabilities = self._stream.open()
         self._is_open = True
         self._waiting, self._bracket, self._last_bracket_ns = None, None, None

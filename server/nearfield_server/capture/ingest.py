@@ -210,6 +210,13 @@ def ingest_frame(
     return dict(zip(INGEST_COUNTERS, counts.tolist(), strict=True))
 
 
+def compile_kernels() -> None:
+    """Compile the kernels, or load them from the cache, before the first picture comes."""
+    words = np.zeros((1, 1, 4), np.float16)
+    for pixels in (words, words.astype(np.float32)):
+        ingest_frame(pixels, words.copy(), previous=words, tolerance=0.5)
+
+
 def _check_input(
     pixels: NDArray[Any], target: NDArray[np.float16], image_circle: NDArray[np.bool_] | None
 ) -> None:

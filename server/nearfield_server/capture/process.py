@@ -19,7 +19,7 @@ from nearfield_server.capture.cameras import image_circle, make_source
 from nearfield_server.capture.frame_metadata import metadata_json
 from nearfield_server.capture.frame_ring import FrameRingReader, FrameRingWriter
 from nearfield_server.capture.frame_signal import FrameSignal
-from nearfield_server.capture.ingest import ingest_frame
+from nearfield_server.capture.ingest import compile_kernels, ingest_frame
 from nearfield_server.capture.preview import PreviewPainter
 from nearfield_server.capture.ring_memory import COUNTER_NAMES, RingShape
 from nearfield_server.capture.source import RawFrame, Source
@@ -225,6 +225,7 @@ def main(worker: Worker) -> None:
     pump = FramePump(source, ring, FrameSignal(worker.spec.signal_fd), with_circle, tolerance)
     readable = FrameRingReader(worker.spec.ring_fds[camera_index], camera.camera_id, shape)
     worker.bus.answer_question(preview_key(worker.spec.process), PreviewPainter(readable, with_circle).answer)
+    compile_kernels()
     worker.wait_for_control(20.0)
     frame_rate = float(worker.spec.options.get("frame_rate") or room.frame_rate)
 

@@ -8,6 +8,7 @@ halves. So a picture is read once and written once.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cache
 from typing import Final
 
 import numpy as np
@@ -15,6 +16,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from nearfield_server.errors import CaptureError, ConfigError
+from nearfield_server.imaging.bracket_plan import radiance_histogram
 from nearfield_server.imaging.demosaic import PAD, interpolate_colours, interpolate_green, split_row
 from nearfield_server.imaging.exposure_check import exposure_ratio
 from nearfield_server.imaging.hdr_merge import add_row, check_amounts, end_row
@@ -439,3 +441,16 @@ class Developer:
                 _develop_mosaic(*common, 1 - green, is_red_first, self._offset, matrix, words)
             )
         return out
+
+
+@cache
+def compile_kernels() -> None:
+    """Compile all that developing needs, or load it from the cache: no camera is to wait seconds at its first picture."""
+    table, out = SensorTable(), np.zeros((_SMALLEST_SIDE, _SMALLEST_SIDE, 4), np.float16)
+    for name in ("BayerRG8", "Mono8"):
+        developer = Developer(table, name, _SMALLEST_SIDE, _SMALLEST_SIDE)
+        for position in range(2):
+            developer.keep(position, np.zeros(_SMALLEST_SIDE**2, np.uint8), 0)
+        developer.ratios(2)
+        developer.merge([1.0, 0.5], out)
+    radiance_histogram(out)

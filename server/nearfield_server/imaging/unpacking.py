@@ -237,6 +237,9 @@ def plain_rows(
         picture = decode_jpeg(data, width, height)
         return picture.reshape(-1), (0, _BYTES, 8, 3, False)
     variant = layout.is_reversed or layout.is_limited
+    if not (data.flags.c_contiguous and data.flags.writeable):
+        # Kernels are compiled for one kind of array only.
+        data = data.copy()
     return data, (row_bytes, int(layout.packing), layout.bits, layout.channels, variant)
 
 

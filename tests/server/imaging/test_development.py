@@ -8,7 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from nearfield_server.errors import CaptureError, ConfigError
-from nearfield_server.imaging.development import BOUND_ALPHA, Developer
+from nearfield_server.imaging import development
+from nearfield_server.imaging.development import BOUND_ALPHA, Developer, compile_kernels
 from nearfield_server.imaging.pixel_formats import FORMATS
 from nearfield_server.reference.imaging import demosaicked, merged_samples
 from nearfield_server.scene.device_schema import SensorTable
@@ -149,3 +150,26 @@ def test_wrong_pictures_are_refused() -> None:
     developer.keep(0, np.zeros(32, np.uint8), 0)
     with pytest.raises(CaptureError, match="2 exposures expected, 1 were kept"):
         developer.merge([1.0, 0.1], _blank(4, 8))
+
+
+def test_once_prepared_no_picture_waits_for_the_compiler() -> None:
+    compile_kernels()
+    kernels = [each for each in vars(development).values() if hasattr(each, "signatures")]
+    assert len(kernels) > 5
+    before = {each.__name__: len(each.signatures) for each in kernels}
+    read_only = np.frombuffer(bytes(96), np.uint8)
+    assert not read_only.flags.writeable
+    for name, data in (
+        ("BayerGB12p", read_only),
+        ("RGB8", read_only),
+        ("YUYV", np.zeros(192, np.uint8)[::2]),
+    ):
+        width, height = (8, 4) if name == "RGB8" else (8, 6)
+        developer = Developer(SensorTable(), name, width, height)
+        out = _blank(height, width)
+        developer.develop(data, 0, 0.01, out)
+        for position in range(3):
+            developer.keep(position, data, 0)
+        developer.ratios(3)
+        developer.merge([1.0, 0.1, 0.01], out)
+    assert {each.__name__: len(each.signatures) for each in kernels} == before
