@@ -1,10 +1,19 @@
 /** One connected camera: its picture about once a second, its exposure, and whether it shall be in the room. */
-import { slider, switchRow } from '../ui/controls'
+import { button, slider, switchRow } from '../ui/controls'
 import { element, setText } from '../ui/dom'
 import { exposureTime } from '../ui/format'
 import { choice, field, NAME_PATTERN, textInput } from './form'
 import { Histogram } from './histogram'
-import { type Camera, type ChosenCamera, canLook, type Look, mayJoin, readLook } from './model'
+import {
+  type Answer,
+  type Camera,
+  type ChosenCamera,
+  canLook,
+  findExposure,
+  type Look,
+  mayJoin,
+  readLook,
+} from './model'
 import { words } from './words'
 
 const PERIOD_MS = 1000
@@ -21,14 +30,20 @@ export class CameraCard {
   readonly #name: HTMLInputElement
   readonly #format: HTMLSelectElement
   readonly #exposure
+  readonly #find = button(words.find, null, () => {
+    this.#isFinding = true
+    this.#hurry()
+  })
   readonly #field
   #fieldDegrees = 180
   #isIncluded: boolean
   #exposureS: number | null = null
-  /** The exposure of the last picture, s. */
+  /** The exposure of the last picture, s; null where it cannot be set. */
   #shownS: number | null = null
   #isVisible = false
   #isLooking = false
+  /** The next picture is taken with the exposure that suits. */
+  #isFinding = false
   #nextMs = 0
 
   constructor(camera: Camera, name: string) {
@@ -111,20 +126,32 @@ export class CameraCard {
     ) {
       return
     }
-    this.#isLooking = true
     this.#nextMs = nowMs + PERIOD_MS
-    readLook(this.#camera.index, this.#format.value, this.#exposureS).then((answer) => {
-      this.#isLooking = false
-      if ('value' in answer) {
-        this.#show(answer.value)
-      } else {
-        this.#nextMs = performance.now() + RETRY_MS
-        this.#image.hidden = true
-        this.#note.hidden = false
-        setText(this.#note, answer.error)
-        this.#circle.replaceChildren()
+    if (this.#isFinding) {
+      this.#take(findExposure(this.#camera.index, this.#format.value))
+    } else {
+      this.#take(readLook(this.#camera.index, this.#format.value, this.#exposureS))
+    }
+  }
+
+  async #take(asked: Promise<Answer<Look>>): Promise<void> {
+    this.#isLooking = true
+    const isFinding = this.#isFinding
+    this.#isFinding = false
+    const answer = await asked
+    this.#isLooking = false
+    if ('value' in answer) {
+      this.#show(answer.value)
+      if (isFinding) {
+        this.#exposureS = answer.value.exposure_s
       }
-    })
+      return
+    }
+    this.#nextMs = performance.now() + RETRY_MS
+    this.#image.hidden = true
+    this.#note.hidden = false
+    setText(this.#note, answer.error)
+    this.#circle.replaceChildren()
   }
 
   get #tone(): string {
@@ -140,12 +167,7 @@ export class CameraCard {
       'div',
       {},
       element('div', { className: 'preview' }, this.#image, this.#circle, this.#note),
-      element(
-        'div',
-        { className: 'look' },
-        this.#histogram.element,
-        field(words.exposure, this.#exposure.element),
-      ),
+      element('div', { className: 'look' }, this.#histogram.element),
     )
     if (mayJoin(this.#camera)) {
       const include = switchRow(words.include, this.#isIncluded, (on) => {
@@ -153,6 +175,8 @@ export class CameraCard {
         this.#showInclusion()
       })
       body.append(
+        field(words.exposure, this.#exposure.element),
+        element('div', { className: 'field' }, element('span'), this.#find),
         field(words.pixelFormat, this.#format),
         field(words.field, this.#field.element),
         include.element,
@@ -176,7 +200,8 @@ export class CameraCard {
     this.#image.src = look.picture
     this.#image.hidden = false
     this.#note.hidden = true
-    this.#shownS = look.exposure_s
+    const [shortest, longest] = look.exposure_range_s
+    this.#shownS = shortest < longest ? look.exposure_s : null
     this.#histogram.show(look.histogram, look.saturated_share)
     this.#showExposure(look)
     this.#circle.setAttribute('viewBox', `0 0 ${look.width} ${look.height}`)
@@ -195,6 +220,7 @@ export class CameraCard {
     const { input } = this.#exposure
     const [shortest, longest] = look.exposure_range_s
     input.disabled = shortest >= longest
+    this.#find.hidden = input.disabled
     if (!input.disabled) {
       input.min = String(Math.max(-20, Math.floor(8 * Math.log2(shortest)) / 8))
       input.max = String(Math.min(4, Math.ceil(8 * Math.log2(longest)) / 8))

@@ -108,6 +108,12 @@ export async function readLook(
   return parseLook(await ask(`api/setup/cameras/${index}/look?${query}`))
 }
 
+/** Takes a picture with the exposure that suits what the camera sees. */
+export async function findExposure(index: number, pixelFormat: string): Promise<Answer<Look>> {
+  const query = new URLSearchParams({ pixel_format: pixelFormat })
+  return parseLook(await ask(`api/setup/cameras/${index}/expose?${query}`, { method: 'POST' }))
+}
+
 export async function writeRoom(request: RoomRequest): Promise<Answer<Written>> {
   const headers = { 'Content-Type': 'application/json' }
   return parseWritten(await ask('api/setup/room', { method: 'POST', headers, body: JSON.stringify(request) }))

@@ -14,6 +14,7 @@ export const words = {
   name: 'Name',
   pixelFormat: 'Pixel format',
   exposure: 'Exposure',
+  find: 'Find the exposure',
   field: 'Field of view',
   degrees: (value: number) => `${value}°`,
   saturated: 'Saturated',

@@ -15,6 +15,7 @@ import sys
 from pathlib import Path
 from typing import Protocol
 
+from nearfield_server.capture.aravis.receive_buffer import can_open_packet_sockets
 from nearfield_server.capture.v4l2.discovery import inspect_camera
 from nearfield_server.onboarding.aravis_details import inspect_gige, inspect_usb
 from nearfield_server.onboarding.gige import AnsweringCamera, ask_camera
@@ -145,12 +146,7 @@ class ThisMachine:
 
     def can_open_packet_socket(self) -> bool:
         """See `Machine`."""
-        try:
-            # Protocol 0: it is opened, and receives nothing.
-            socket.socket(socket.AF_PACKET, socket.SOCK_RAW, 0).close()
-        except OSError:
-            return False
-        return True
+        return can_open_packet_sockets()
 
     def free_bytes(self, path: Path) -> int | None:
         """See `Machine`."""

@@ -7,6 +7,7 @@ import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from nearfield_server.capture.aravis.receive_buffer import wanted_bytes
 from nearfield_server.doctor.finding import Finding, ok, problem, warning
 from nearfield_server.doctor.machine import Machine
 
@@ -50,21 +51,23 @@ def check_packet_socket(machine: Machine) -> Finding:
 
 
 def check_receive_buffer(machine: Machine, streams: Sequence[GigeStream]) -> Finding:
-    """A socket buffer holds two frames: with one, a third of the frames is lost; with the usual 212 kB, nearly all."""
+    """A socket buffer holds a few frames: with room for one, a third of the frames is lost; with the usual 212 kB, nearly all."""
     text = machine.read(RMEM_MAX)
     if text is None or not text.isdecimal():
         return warning("receive buffer", f"{RMEM_MAX} cannot be read", "check that /proc is mounted")
     limit = int(text)
     payload = max((stream.payload for stream in streams), default=0)
-    needed = 2 * payload
+    needed = wanted_bytes(payload) if payload else 0
     if limit >= needed:
         told = f" for frames of {payload:,} bytes" if payload else "; no GigE camera in the room"
         return ok("receive buffer", f"up to {limit:,} bytes{told}")
-    found = f"up to {limit:,} bytes, expected {needed:,} (two frames)"
+    found = f"up to {limit:,} bytes, expected {needed:,} (frames of {payload:,} bytes)"
     mend = f"echo 'net.core.rmem_max = {needed}' | sudo tee {SYSCTL_FILE} && sudo sysctl --load {SYSCTL_FILE}"
     if machine.can_open_packet_socket():
         return ok("receive buffer", f"{found}; not needed, because packet sockets may be opened")
-    return (problem if limit < payload else warning)("receive buffer", f"{found}: frames will be lost", mend)
+    return (problem if limit < 2 * payload else warning)(
+        "receive buffer", f"{found}: frames will be lost", mend
+    )
 
 
 def check_interfaces(machine: Machine, streams: Sequence[GigeStream]) -> list[Finding]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 
 from nearfield_server.capture.remote.gate import check_service_certificate
@@ -11,6 +10,7 @@ from nearfield_server.doctor.finding import Finding, ok, problem, warning
 from nearfield_server.doctor.machine import Machine
 from nearfield_server.doctor.network import GigeStream
 from nearfield_server.errors import CaptureError, ConfigError
+from nearfield_server.imaging.pixel_formats import pixel_format
 from nearfield_server.records import CameraModel
 from nearfield_server.scene.device_schema import (
     AravisSourceTable,
@@ -21,20 +21,18 @@ from nearfield_server.scene.device_schema import (
 )
 from nearfield_server.scene.room_config import RoomConfig
 
+_UNKNOWN_BITS = 16
+_COMPRESSED_BITS = 4
 
-def bits_per_pixel(pixel_format: str) -> int:
-    """Bits of a pixel on the wire, from a name of the GenICam Pixel Format Naming Convention; 16 where the name does not tell."""
-    found = re.search(r"(\d+)(p|Packed)?(?:_|$)", pixel_format)
-    if found is None:
-        return 16
-    if pixel_format.startswith("YUV") or pixel_format.startswith("YCbCr"):
-        return {"411": 12, "422": 16}.get(found[1], 24)
-    bits, packing = int(found[1]), found[2]
-    if packing is None:
-        bits = 8 * -(-bits // 8)
-    elif packing == "Packed" and bits == 10:
-        bits = 12  # GigE Vision 1: two pixels in three bytes, whatever their depth
-    return bits * (3 if pixel_format.startswith(("RGB", "BGR")) else 1)
+
+def bits_per_pixel(source: DeviceSourceTable) -> int:
+    """Bits of a pixel as the device sends it; 16 for names that are not known, 4 for compressed pictures, which vary."""
+    try:
+        if isinstance(source, V4l2SourceTable):
+            return find_format(source.pixel_format).bits_per_pixel or _COMPRESSED_BITS
+        return pixel_format(source.pixel_format).pixel_bits or _COMPRESSED_BITS
+    except CaptureError:
+        return _UNKNOWN_BITS
 
 
 def frame_bytes(camera: CameraModel, source: DeviceSourceTable) -> int:
@@ -42,7 +40,7 @@ def frame_bytes(camera: CameraModel, source: DeviceSourceTable) -> int:
     width, height = camera.intrinsics.width, camera.intrinsics.height
     if isinstance(source, AravisSourceTable) and source.region is not None:
         width, height = source.region[2:]
-    return width * height * bits_per_pixel(source.pixel_format) // 8
+    return width * height * bits_per_pixel(source) // 8
 
 
 def exposures_per_picture(source: DeviceSourceTable) -> int:
@@ -164,18 +162,18 @@ def _check_v4l2(machine: Machine, name: str, source: V4l2SourceTable) -> Finding
         )
     try:
         # Rooms may name a format by its four characters, its usual name, or as frames do.
-        pixel_format = find_format(source.pixel_format).usual_name
+        usual_name = find_format(source.pixel_format).usual_name
         formats = machine.pixel_formats(source)
     except CaptureError as error:
         return problem(name, str(error), "nearfield cameras")
-    return _check_format(name, source.path, pixel_format, formats)
+    return _check_format(name, source.path, usual_name, formats)
 
 
-def _check_format(name: str, who: str, pixel_format: str, formats: Sequence[str]) -> Finding:
-    if pixel_format in formats or not formats:
-        return ok(name, f"{who}: free, {pixel_format}")
+def _check_format(name: str, who: str, wanted: str, formats: Sequence[str]) -> Finding:
+    if wanted in formats or not formats:
+        return ok(name, f"{who}: free, {wanted}")
     return problem(
         name,
-        f"{who} does not offer {pixel_format}, but {', '.join(formats)}",
+        f"{who} does not offer {wanted}, but {', '.join(formats)}",
         f'in the room file: pixel_format = "{formats[0]}"',
     )

@@ -81,6 +81,12 @@ def create_setup_app(session: SetupSession, static_dir: Path = BUILT_CLIENT) -> 
         wish = Wish(exposure_s=exposure_s, marks=marks)
         return await _answer(lambda: _look(session.look(index, wish, pixel_format)))
 
+    @app.post("/api/setup/cameras/{index}/expose")
+    async def expose(
+        index: int, pixel_format: Annotated[str | None, Query(max_length=64)] = None
+    ) -> Response:
+        return await _answer(lambda: _look(session.expose(index, pixel_format)))
+
     @app.post("/api/setup/room")
     async def write(request: RoomRequest) -> Response:
         return await _answer(lambda: _write(session, request))
@@ -163,9 +169,10 @@ def _write(session: SetupSession, request: RoomRequest) -> dict[str, Any]:
         )
         for camera in request.cameras
     ]
-    room = session.write(choices, name=request.name, model=request.model, overwrite=request.overwrite)
+    model = session.model_path(request.model)
+    room = session.write(choices, name=request.name, model=model, overwrite=request.overwrite)
     return {
         "path": str(session.room_path),
         "cameras": [camera.camera_id for camera in room.cameras],
-        "next": f"nearfield serve {session.room_path}",
+        "next": f"nearfield doctor {session.room_path}",
     }

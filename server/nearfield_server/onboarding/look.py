@@ -13,6 +13,8 @@ from nearfield_server.onboarding.lens_guess import guess_lens
 
 HISTOGRAM_BINS = 64
 PICTURE_SIDE = 512
+BRIGHT = 0.4
+_LARGEST_STEP = 16.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -26,6 +28,7 @@ class Look:
         exposure_s: exposure time of this picture, seconds.
         exposure_range_s: shortest and longest that the camera can do; equal where it cannot be set.
         histogram: (HISTOGRAM_BINS,) share of the pixels by the strongest channel, from black to the full signal.
+        bright: signal that nine of ten pixels stay below, share of the signal range.
         saturated_share: share of the pixels that the exposure was too long for.
         lens: guess from the image circle, for a field of view of 180 degrees.
         has_circle: the image circle was found; else the lens is only a default.
@@ -38,6 +41,7 @@ class Look:
     exposure_s: float
     exposure_range_s: tuple[float, float]
     histogram: tuple[float, ...]
+    bright: float
     saturated_share: float
     lens: FisheyeIntrinsics
     has_circle: bool
@@ -73,7 +77,27 @@ def take_look(
         exposure_s=exposure_s,
         exposure_range_s=exposure_range_s,
         histogram=tuple((counts / counts.sum()).tolist()),
+        bright=float(np.percentile(strongest, 90)),
         saturated_share=float(np.count_nonzero((alpha > 0.5) & (alpha < 1.0)) / alpha.size),
         lens=lens,
         has_circle=has_circle,
+    )
+
+
+def better_exposure(look: Look, longest_s: float) -> float:
+    """Exposure time that brings the bright parts of the picture to `BRIGHT`: walls well above the noise, little saturated.
+
+    Args:
+        look: the picture until now.
+        longest_s: seconds; longer ones slow the camera down.
+
+    Returns:
+        Seconds, within what the camera can do and at most a factor of 16 from the exposure until now.
+    """
+    shortest, longest = look.exposure_range_s
+    factor = BRIGHT / look.bright if look.bright > 0 else _LARGEST_STEP
+    # A saturated picture does not tell how much too bright it is.
+    factor = 1 / _LARGEST_STEP if look.bright > 0.95 else min(factor, _LARGEST_STEP)
+    return min(
+        max(look.exposure_s * max(factor, 1 / _LARGEST_STEP), shortest), longest, max(longest_s, shortest)
     )

@@ -11,7 +11,7 @@ from nearfield_server.capture.device import Device
 from nearfield_server.errors import CaptureError, ConfigError
 from nearfield_server.onboarding.connected import FREE, Connected, Listing
 from nearfield_server.onboarding.lens_guess import DEFAULT_FIELD_DEGREES, default_lens, with_field
-from nearfield_server.onboarding.look import Look
+from nearfield_server.onboarding.look import Look, better_exposure
 from nearfield_server.onboarding.room_file import add_cameras, create_room
 from nearfield_server.onboarding.room_text import PlannedCamera, camera_ids, camera_places
 from nearfield_server.onboarding.source_plan import choose_pixel_format, source_table, source_values
@@ -19,7 +19,10 @@ from nearfield_server.onboarding.viewer import Decode, Viewer, Wish
 from nearfield_server.scene.device_schema import DeviceSourceTable
 from nearfield_server.scene.room_config import RoomConfig
 
+LONGEST_S = 0.1
+"""Exposures that are found stay below this, seconds: ten pictures a second must be possible."""
 _MOST_MODELS = 200
+_MOST_STEPS = 5
 
 OpenCamera = Callable[[Connected, DeviceSourceTable], tuple[Callable[[], Device], Decode]]
 """For a camera and its source table: what makes its device, and what turns its frames into signal."""
@@ -119,6 +122,25 @@ class SetupSession:
             self._looks[camera.kind, camera.place] = asked_format, look
         return look
 
+    def expose(self, index: int, pixel_format: str | None = None, *, longest_s: float = LONGEST_S) -> Look:
+        """Look through a camera with the exposure that suits what it sees.
+
+        Args:
+            index: position in the listing.
+            pixel_format: None = the best that it offers.
+            longest_s: exposure time at most, seconds.
+
+        Raises:
+            ConfigError, CaptureError: see `look`.
+        """
+        look = self.look(index, Wish(), pixel_format)
+        for _ in range(_MOST_STEPS):
+            exposure_s = better_exposure(look, longest_s)
+            if abs(exposure_s / look.exposure_s - 1.0) < 0.1:
+                break
+            look = self.look(index, Wish(exposure_s=exposure_s), pixel_format)
+        return look
+
     def _viewer(self, camera: Connected, pixel_format: str) -> Viewer:
         key = (camera.kind, camera.place, pixel_format)
         with self._lock:
@@ -148,6 +170,20 @@ class SetupSession:
             )
         except (OSError, UnicodeDecodeError, ConfigError) as error:
             return RoomState(path=path, exists=True, problem=f"{path}: {error}")
+
+    def model_path(self, model: str) -> Path | None:
+        """The file that one of `models` means; None for the empty text.
+
+        Raises:
+            ConfigError: it is none of them.
+        """
+        if not model:
+            return None
+        if model not in self.models():
+            raise ConfigError(
+                f"{model}: expected a model in the folder of the room; there are: {', '.join(self.models()) or 'none'}"
+            )
+        return self.room_path.absolute().parent / model
 
     def models(self) -> tuple[str, ...]:
         """GLB files in the folder of the room and the folders in it, relative to it."""
@@ -197,7 +233,7 @@ class SetupSession:
         choices: Sequence[CameraChoice],
         *,
         name: str = "",
-        model: str = "",
+        model: Path | None = None,
         frame_rate: float = 10.0,
         overwrite: bool = False,
     ) -> RoomConfig:
@@ -206,7 +242,7 @@ class SetupSession:
         Args:
             choices: the cameras.
             name: of a new room.
-            model: of a new room, relative to the folder of the room file.
+            model: GLB of a new room.
             frame_rate: of a new room.
             overwrite: replace a file that is there instead of adding to it.
 
@@ -221,13 +257,13 @@ class SetupSession:
             raise ConfigError("no camera is chosen; a room needs at least one")
         if self.room_path.exists() and not overwrite:
             return add_cameras(self.room_path, planned)
-        if not model:
+        if model is None:
             raise ConfigError("no model is chosen; a room needs the GLB of its surfaces")
         return create_room(
             self.room_path,
             planned,
             name=name or self.default_name,
-            model=self.room_path.absolute().parent / model,
+            model=model,
             frame_rate=frame_rate,
             overwrite=overwrite,
         )

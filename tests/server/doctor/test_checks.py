@@ -161,23 +161,23 @@ def test_packet_socket(machine: FakeMachine) -> None:
 @pytest.mark.parametrize(
     ("limit", "packet_socket", "level"),
     [
-        ("3145728", False, OK),
-        ("3145727", False, WARNING),
-        ("1572864", False, WARNING),
-        ("1572863", False, PROBLEM),
-        ("212992", False, PROBLEM),
-        ("212992", True, OK),
+        (3 * 1_572_864, False, OK),
+        (3 * 1_572_864 - 1, False, WARNING),
+        (2 * 1_572_864, False, WARNING),
+        (2 * 1_572_864 - 1, False, PROBLEM),
+        (212_992, False, PROBLEM),
+        (212_992, True, OK),
     ],
 )
-def test_receive_buffer_holds_two_frames(
-    machine: FakeMachine, limit: str, packet_socket: bool, level: Level
+def test_receive_buffer_holds_the_largest_frame_three_times(
+    machine: FakeMachine, limit: int, packet_socket: bool, level: Level
 ) -> None:
-    machine.files[network.RMEM_MAX], machine.packet_socket = limit, packet_socket
+    machine.files[network.RMEM_MAX], machine.packet_socket = str(limit), packet_socket
     small = GigeStream(camera_id="cam1", address="192.168.10.22", payload=1000, frame_rate=10)
     finding = network.check_receive_buffer(machine, [stream(), small])
     expect(finding, level)
     if level is not OK:
-        assert "net.core.rmem_max = 3145728" in finding.mend
+        assert f"net.core.rmem_max = {3 * 1_572_864}" in finding.mend
 
 
 def test_receive_buffer_without_cameras_or_proc(machine: FakeMachine) -> None:

@@ -17,6 +17,7 @@ from nearfield_server.doctor.room_cameras import (
     recorded_bytes_per_s,
 )
 from nearfield_server.errors import CaptureError
+from nearfield_server.scene.device_schema import AravisSourceTable, V4l2SourceTable
 from nearfield_server.scene.room_config import RoomConfig
 
 from .conftest import FakeMachine, gige_camera
@@ -33,20 +34,22 @@ BY_ADDRESS = 'kind = "aravis", address = "192.168.10.21"'
         ("Mono8", 8),
         ("Mono10", 16),
         ("Mono10p", 10),
-        ("Mono10Packed", 12),
         ("Mono12Packed", 12),
         ("BayerRG12p", 12),
         ("BayerGB16", 16),
-        ("BayerBG8", 8),
         ("RGB8", 24),
-        ("BGR10p", 30),
-        ("YUV422_8_UYVY", 16),
-        ("YUV411_8_UYYVYY", 12),
         ("Coord3D", 16),
     ],
 )
-def test_bits_of_pixel_formats(name: str, bits: int) -> None:
-    assert bits_per_pixel(name) == bits
+def test_bits_of_pixels_over_the_wire(name: str, bits: int) -> None:
+    assert bits_per_pixel(AravisSourceTable(kind="aravis", serial="1", pixel_format=name)) == bits
+
+
+@pytest.mark.parametrize(
+    ("name", "bits"), [("YUYV", 16), ("SRGGB12P", 12), ("GREY", 8), ("MJPG", 4), ("XXXX", 16)]
+)
+def test_bits_of_pixels_of_video_devices(name: str, bits: int) -> None:
+    assert bits_per_pixel(V4l2SourceTable(kind="v4l2", path="/dev/video0", pixel_format=name)) == bits
 
 
 def test_what_cameras_send(make_room: MakeRoom) -> None:

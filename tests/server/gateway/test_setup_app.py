@@ -68,6 +68,12 @@ def test_saturated_pixels_are_counted_and_marked_red(client: httpx.Client) -> No
     assert max(blue, green) < 100
 
 
+def test_an_exposure_that_suits_is_found(client: httpx.Client) -> None:
+    look = client.post("api/setup/cameras/0/expose", params={"pixel_format": "Mono8"}).json()
+    assert (look["pixel_format"], look["exposure_s"]) == ("Mono8", pytest.approx(0.02, rel=0.1))
+    assert client.post("api/setup/cameras/2/expose").status_code == 503
+
+
 def test_searching_again(client: httpx.Client, lab: Lab) -> None:
     assert client.post("api/setup/search").json()["notes"] == ["a note"]
     assert lab.searches == 2

@@ -12,7 +12,7 @@ import pytest
 from nearfield_server.capture.device import DeviceCapabilities, Exposure, SensorFrame
 from nearfield_server.errors import CaptureError
 from nearfield_server.imaging.preview import BOUND_MARK, as_exposed
-from nearfield_server.onboarding.look import HISTOGRAM_BINS, Look, take_look
+from nearfield_server.onboarding.look import HISTOGRAM_BINS, Look, better_exposure, take_look
 from nearfield_server.onboarding.viewer import Viewer, Wish
 
 LOWER_BOUND = np.uint16(0x3BFF).view(np.float16)
@@ -46,6 +46,36 @@ def test_pictures_are_as_bright_as_they_are_exposed() -> None:
     signal[2, 3, 3] = LOWER_BOUND
     assert tuple(as_exposed(signal, max_side=8)[2, 3]) == BOUND_MARK
     assert tuple(as_exposed(signal, max_side=8, marks=False)[2, 3]) == (128, 128, 128)
+
+
+@pytest.mark.parametrize(
+    ("bright", "longest_s", "expected"),
+    [
+        (0.2, 1.0, 0.02),
+        (0.8, 1.0, 0.005),
+        (0.0, 10.0, 0.16),  # black: as far as a step goes
+        (0.001, 10.0, 0.16),
+        (0.0, 0.1, 0.1),
+        (1.0, 1.0, 0.01 / 16),
+        (0.4, 1.0, 0.01),
+    ],
+)
+def test_better_exposures(bright: float, longest_s: float, expected: float) -> None:
+    signal = np.full((8, 8, 4), bright, np.float32)
+    signal[..., 3] = 1.0
+    look = _look(signal)
+    assert look.bright == pytest.approx(bright)
+    assert better_exposure(look, longest_s) == pytest.approx(expected)
+
+
+def test_better_exposures_stay_within_what_the_camera_can_do() -> None:
+    signal = np.zeros((8, 8, 4), np.float32)
+    look = take_look(signal, pixel_format="Mono8", exposure_s=0.01, exposure_range_s=(0.005, 0.02))
+    assert better_exposure(look, 1.0) == 0.02
+    bright = take_look(signal + 1, pixel_format="Mono8", exposure_s=0.01, exposure_range_s=(0.005, 0.02))
+    assert better_exposure(bright, 1.0) == 0.005
+    fixed = take_look(signal, pixel_format="Mono8", exposure_s=0.01, exposure_range_s=(0.01, 0.01))
+    assert better_exposure(fixed, 0.001) == 0.01
 
 
 class FakeDevice:

@@ -21,7 +21,7 @@ def test_what_was_seen_is_what_is_written(lab: Lab) -> None:
     assert look.has_circle
     choice = CameraChoice(index=0, camera_id="door", exposure_s=0.02, field_degrees=200.0)
     assert lab.session.models() == ("room.glb",)
-    room = lab.session.write([choice], model="room.glb")
+    room = lab.session.write([choice], model=lab.folder / "room.glb")
     assert room.name == "living room"
     lens = load_room(lab.folder).cameras[0].intrinsics
     assert lens.theta_max == pytest.approx(math.radians(100), abs=1e-6)
@@ -37,7 +37,7 @@ def test_what_was_seen_is_what_is_written(lab: Lab) -> None:
 
 def test_cameras_are_added_to_a_room_that_is_there(lab: Lab) -> None:
     assert not lab.session.room().exists
-    lab.session.write([CameraChoice(index=0, camera_id="cam0")], name="lab", model="room.glb")
+    lab.session.write([CameraChoice(index=0, camera_id="cam0")], name="lab", model=lab.folder / "room.glb")
     before = (lab.folder / "room.toml").read_text()
     state = lab.session.room()
     assert (state.exists, state.camera_ids, state.places) == (True, ("cam0",), ("192.168.10.21",))
@@ -46,7 +46,7 @@ def test_cameras_are_added_to_a_room_that_is_there(lab: Lab) -> None:
     assert [camera.camera_id for camera in room.cameras] == ["cam0", "cam1"]
     assert (lab.folder / "room.toml").read_text().startswith(before)
     replaced = lab.session.write(
-        [CameraChoice(index=1, camera_id="only")], name="new", model="room.glb", overwrite=True
+        [CameraChoice(index=1, camera_id="only")], name="new", model=lab.folder / "room.glb", overwrite=True
     )
     assert [camera.camera_id for camera in replaced.cameras] == ["only"]
 
@@ -64,7 +64,7 @@ def test_cameras_are_added_to_a_room_that_is_there(lab: Lab) -> None:
 )
 def test_what_cannot_be_written(lab: Lab, choices: list[CameraChoice], message: str) -> None:
     with pytest.raises(ConfigError, match=message):
-        lab.session.write(choices, model="room.glb")
+        lab.session.write(choices, model=lab.folder / "room.glb")
     with pytest.raises(ConfigError, match="no model is chosen" if len(choices) == 1 else message):
         lab.session.write([CameraChoice(index=0, camera_id="cam0")] if choices else [])
     assert not (lab.folder / "room.toml").exists()
@@ -99,4 +99,13 @@ def test_a_broken_room_file_is_told_and_left_alone(lab: Lab) -> None:
     assert state.exists
     assert "not valid TOML" in state.problem
     with pytest.raises(ConfigError, match="not valid TOML"):
-        lab.session.write([CameraChoice(index=0, camera_id="cam0")], model="room.glb")
+        lab.session.write([CameraChoice(index=0, camera_id="cam0")], model=lab.folder / "room.glb")
+
+
+def test_an_exposure_that_suits_is_found(lab: Lab) -> None:
+    # The disc is a bit more than a third of the picture: its signal is 20 per second.
+    look = lab.session.expose(0)
+    assert look.bright == pytest.approx(0.4, rel=0.1)
+    assert look.exposure_s == pytest.approx(0.02, rel=0.1)
+    short = lab.session.expose(0, longest_s=0.005)
+    assert short.exposure_s == 0.005
