@@ -63,7 +63,17 @@ def _unpack_gige_vision(data: NDArray[np.uint8], start: int, bits: int, out: NDA
     """Pixels `start` and following of the picture, in pairs of three bytes; the last pixel of an odd number takes two bytes."""
     low_bits = bits - 8
     mask = (1 << low_bits) - 1
-    for pixel in range(out.shape[0]):
+    done = 0
+    if start & 1 == 0:
+        pairs = out.shape[0] // 2
+        row = data[3 * (start >> 1) : 3 * (start >> 1) + 3 * pairs]
+        shift, low = np.uint16(low_bits), np.uint16(mask)
+        for pair in range(pairs):
+            middle = np.uint16(row[3 * pair + 1])
+            out[2 * pair] = np.uint16(row[3 * pair]) << shift | middle & low
+            out[2 * pair + 1] = np.uint16(row[3 * pair + 2]) << shift | middle >> np.uint16(4) & low
+        done = 2 * pairs
+    for pixel in range(done, out.shape[0]):
         place = start + pixel
         base = 3 * (place >> 1)
         odd = place & 1
@@ -75,6 +85,24 @@ def _unpack_gige_vision(data: NDArray[np.uint8], start: int, bits: int, out: NDA
 @njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
 def _unpack_mipi(row: NDArray[np.uint8], bits: int, out: NDArray[np.uint16]) -> None:
     """Groups: high bytes, then low bits as a stream."""
+    if bits == 12:
+        for pair in range(out.shape[0] // 2):
+            both = np.uint16(row[3 * pair + 2])
+            out[2 * pair] = np.uint16(row[3 * pair]) << np.uint16(4) | both & np.uint16(15)
+            out[2 * pair + 1] = np.uint16(row[3 * pair + 1]) << np.uint16(4) | both >> np.uint16(4)
+        return
+    if bits == 10:
+        for four in range(out.shape[0] // 4):
+            rest = np.uint16(row[5 * four + 4])
+            out[4 * four] = np.uint16(row[5 * four]) << np.uint16(2) | rest & np.uint16(3)
+            out[4 * four + 1] = np.uint16(row[5 * four + 1]) << np.uint16(2) | rest >> np.uint16(
+                2
+            ) & np.uint16(3)
+            out[4 * four + 2] = np.uint16(row[5 * four + 2]) << np.uint16(2) | rest >> np.uint16(
+                4
+            ) & np.uint16(3)
+            out[4 * four + 3] = np.uint16(row[5 * four + 3]) << np.uint16(2) | rest >> np.uint16(6)
+        return
     low_bits = bits - 8
     group = 2 if bits == 12 else 4
     group_bytes = group * bits // 8
