@@ -4,6 +4,9 @@ The shortest exposure keeps the brightest pixel below saturation, the longest on
 above the noise, and the others lie between them at equal ratios. What cannot be seen is found by steps: while pixels are saturated in every
 exposure the shortest one shrinks, the faster the more there are; while the dark is lost in noise the longest one grows.
 
+The bright end comes first: lamps carry the light. Where the exposures are too few for the whole range, the dark end is given up, because
+light that fills one exposure and is lost in the noise of the next would be missing in the middle.
+
 A plan that is good enough stays: the limits at which it is given up lie a factor of 1.5 and more from where a new plan would put it.
 Saturation is answered at once; everything else only when three pictures in a row ask for it, so that a passing shadow changes nothing.
 """
@@ -31,6 +34,8 @@ _STUCK_SHARE: Final = 3e-5
 _SHRINK: Final = ((0.05, 64.0), (0.002, 16.0), (0.0, 4.0))
 _PATIENCE: Final = 3
 _LEAST_RATIO: Final = 2.0
+MOST_RATIO: Final = 64.0
+"""Between neighbouring exposures: what just fills one still has a signal-to-noise ratio of 12 in the next (a full well of 10 000)."""
 _SAME: Final = 0.05
 _BIN_SHIFT: Final = 6
 _NUM_BINS: Final = 0x8000 >> _BIN_SHIFT
@@ -149,12 +154,13 @@ class BracketPlan:
 
 
 def _spread(longest: float, shortest: float, limits: BracketLimits) -> BracketPlan:
-    """Equal ratios between the ends; ends too close to each other are moved apart, the longer one first."""
+    """Equal ratios between the ends; ends too close to each other are moved apart, the longer one first, ends too far apart together."""
     shortest = min(max(shortest, limits.shortest), limits.longest)
     longest = min(max(longest, limits.shortest), limits.longest)
     apart = _LEAST_RATIO ** (limits.num_exposures - 1)
     longest = min(max(longest, shortest * apart), limits.longest)
     shortest = max(min(shortest, longest / apart), limits.shortest)
+    longest = min(longest, shortest * MOST_RATIO ** (limits.num_exposures - 1))
     return BracketPlan(amounts=tuple(np.geomspace(longest, shortest, limits.num_exposures).tolist()))
 
 

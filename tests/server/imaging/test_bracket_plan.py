@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from nearfield_server.errors import ConfigError
 from nearfield_server.imaging.bracket_plan import (
+    MOST_RATIO,
     BracketLimits,
     BracketPlan,
     RadianceHistogram,
@@ -52,7 +53,7 @@ def _scene(rng: np.random.Generator, darkest: float, span: float) -> np.ndarray:
     seed=st.integers(0, 2**32),
     start=st.one_of(st.none(), st.floats(-5, 0)),
 )
-def test_it_settles_within_a_few_pictures_and_then_never_moves(
+def test_it_settles_within_a_few_pictures_and_then_does_not_hunt(
     span: float, log_darkest: float, num_exposures: int, seed: int, start: float | None
 ) -> None:
     rng = np.random.default_rng(seed)
@@ -67,14 +68,17 @@ def test_it_settles_within_a_few_pictures_and_then_never_moves(
         plans.append(plan_bracket(radiance_histogram(_picture(scene, plans[-1], rng)), plans[-1], limits))
     changes = [k for k in range(40) if plans[k + 1].amounts != plans[k].amounts]
     assert len(changes) <= 6
-    assert not changes or changes[-1] < 18
+    # A start that lies on the very edge of good enough may be given up late, whenever noise says so, but once only.
+    assert len([k for k in changes if k >= 18]) <= 1
     settled = plans[-1].amounts
     assert limits.shortest * 0.999 <= min(settled)
     assert max(settled) <= limits.longest * 1.001
     # The brightest is measured, or nothing shorter is allowed; the darkest percentile is well exposed, or nothing longer is.
     assert min(settled) * scene.max() <= 0.98 * FULL or min(settled) <= limits.shortest * 1.06
     dark = np.quantile(scene, 0.01) * max(settled) / FULL
-    assert dark >= 0.007 or max(settled) >= limits.longest * 0.94
+    widest = min(settled) * MOST_RATIO ** (num_exposures - 1)
+    assert dark >= 0.007 or max(settled) >= 0.94 * min(limits.longest, widest)
+    assert np.all(np.divide(settled[:-1], settled[1:]) < 1.01 * MOST_RATIO)
 
 
 def test_a_blinded_camera_finds_its_exposure_in_a_few_pictures() -> None:
