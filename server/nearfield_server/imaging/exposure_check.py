@@ -65,7 +65,7 @@ def exposure_ratio(
         The ratio; NaN if too few pixels are valid in both.
     """
     totals = [
-        float(np.take(lookup, np.minimum(codes[::2], saturated_from)).sum()) for codes in (first, second)
+        float(np.take(lookup, np.minimum(codes[::4, ::5], saturated_from)).sum()) for codes in (first, second)
     ]
     is_first_longer = totals[0] >= totals[1]
     longer, shorter = (first, second) if is_first_longer else (second, first)

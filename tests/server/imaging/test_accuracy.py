@@ -152,3 +152,23 @@ def test_demosaicing_neither_adds_nor_loses_light(room: np.ndarray, bayer: str) 
         assert found[..., channel].sum() == pytest.approx(sampled, rel=6e-3)
     error = np.abs(found - picture)[picture > 0] / picture[picture > 0]
     assert np.median(error) < 6e-3
+
+
+@pytest.mark.parametrize("electrons", [30.0, 100.0, 1000.0])
+def test_noise_neither_brightens_nor_tints_a_dark_wall(electrons: float) -> None:
+    rng = np.random.default_rng(12)
+    colour = np.array([1.0, 0.8, 0.5])
+    truth = np.broadcast_to(electrons / FULL_WELL * colour, (512, 512, 3))
+    codes = _expose(rng, mosaic(truth, "GRBG"), 1.0)
+    developer = Developer(TABLE, "BayerGR12", 512, 512)
+    found = developer.develop(
+        codes.astype("<u2").view(np.uint8).reshape(-1), 0, 1.0, np.empty((512, 512, 4), np.float16)
+    )
+    mean = found[..., :3].astype(float).mean((0, 1))
+    noise = np.sqrt(electrons * colour + READ_NOISE**2) / electrons / 512 * 2
+    # Values below 0 are cut off at the end: a little of the noise of 30 electrons.
+    np.testing.assert_allclose(mean / truth[0, 0], 1.0, atol=5 * noise.max() + 0.004)
+    assert (
+        found[..., :3].astype(float).std((0, 1)).max()
+        < 1.15 * np.sqrt(electrons + READ_NOISE**2 + 5) / FULL_WELL
+    )
