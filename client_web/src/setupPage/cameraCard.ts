@@ -106,7 +106,8 @@ export class CameraCard {
       index: this.#camera.index,
       id: this.#name.value,
       pixel_format: this.#format.value,
-      exposure_s: this.#shownS,
+      // What was asked for may not have come back as a picture yet.
+      exposure_s: this.#shownS === null ? null : (this.#exposureS ?? this.#shownS),
       field_degrees: this.#fieldDegrees,
     }
   }
@@ -137,14 +138,15 @@ export class CameraCard {
   async #take(asked: Promise<Answer<Look>>): Promise<void> {
     this.#isLooking = true
     const isFinding = this.#isFinding
+    const askedS = this.#exposureS
     this.#isFinding = false
     const answer = await asked
     this.#isLooking = false
     if ('value' in answer) {
-      this.#show(answer.value)
       if (isFinding) {
         this.#exposureS = answer.value.exposure_s
       }
+      this.#show(answer.value, isFinding || this.#exposureS === askedS)
       return
     }
     this.#nextMs = performance.now() + RETRY_MS
@@ -196,14 +198,15 @@ export class CameraCard {
     this.look(performance.now())
   }
 
-  #show(look: Look): void {
+  /** `isNewest`: nobody has asked for another exposure meanwhile. */
+  #show(look: Look, isNewest: boolean): void {
     this.#image.src = look.picture
     this.#image.hidden = false
     this.#note.hidden = true
     const [shortest, longest] = look.exposure_range_s
     this.#shownS = shortest < longest ? look.exposure_s : null
     this.#histogram.show(look.histogram, look.saturated_share)
-    this.#showExposure(look)
+    this.#showExposure(look, isNewest)
     this.#circle.setAttribute('viewBox', `0 0 ${look.width} ${look.height}`)
     this.#circle.replaceChildren()
     if (look.circle !== null) {
@@ -216,7 +219,7 @@ export class CameraCard {
     }
   }
 
-  #showExposure(look: Look): void {
+  #showExposure(look: Look, isNewest: boolean): void {
     const { input } = this.#exposure
     const [shortest, longest] = look.exposure_range_s
     input.disabled = shortest >= longest
@@ -226,7 +229,7 @@ export class CameraCard {
       input.max = String(Math.min(4, Math.ceil(8 * Math.log2(longest)) / 8))
     }
     // A finger on the slider is not pushed away.
-    if (!input.matches(':active')) {
+    if (isNewest && !input.matches(':active')) {
       this.#exposure.set(Math.log2(look.exposure_s))
     }
   }

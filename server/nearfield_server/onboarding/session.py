@@ -186,11 +186,10 @@ class SetupSession:
         return self.room_path.absolute().parent / model
 
     def models(self) -> tuple[str, ...]:
-        """GLB files in the folder of the room and the folders in it, relative to it."""
+        """GLB files in the folder of the room and the folders in it, relative to it; those that are called room come first."""
         folder = self.room_path.absolute().parent
-        found = sorted(
-            path for pattern in ("*.glb", "*/*.glb") for path in folder.glob(pattern) if path.is_file()
-        )
+        found = [path for pattern in ("*.glb", "*/*.glb") for path in folder.glob(pattern) if path.is_file()]
+        found.sort(key=lambda path: ("room" not in path.name.lower(), path))
         return tuple(path.relative_to(folder).as_posix() for path in found[:_MOST_MODELS])
 
     def plan(self, choices: Sequence[CameraChoice]) -> list[PlannedCamera]:

@@ -109,3 +109,14 @@ def test_an_exposure_that_suits_is_found(lab: Lab) -> None:
     assert look.exposure_s == pytest.approx(0.02, rel=0.1)
     short = lab.session.expose(0, longest_s=0.005)
     assert short.exposure_s == 0.005
+
+
+def test_models_called_room_are_proposed_first(lab: Lab) -> None:
+    (lab.folder / "objects").mkdir()
+    for name in ("bunny.glb", "objects/dragon.glb", "notes.txt"):
+        (lab.folder / name).touch()
+    assert lab.session.models() == ("room.glb", "bunny.glb", "objects/dragon.glb")
+    assert lab.session.model_path("bunny.glb") == lab.folder / "bunny.glb"
+    assert lab.session.model_path("") is None
+    with pytest.raises(ConfigError, match="expected a model in the folder"):
+        lab.session.model_path("../secret.glb")
