@@ -23,15 +23,17 @@ class GigeStream:
 
     Attributes:
         camera_id: in the room file.
-        address: IPv4 address.
+        address: IPv4 address; empty where it is found by its serial number.
         payload: bytes per frame.
         frame_rate: frames per second, all exposures of a bracket counted.
+        interface: network interface that the room names; empty where the address leads to one.
     """
 
     camera_id: str
     address: str
     payload: int
     frame_rate: float
+    interface: str = ""
 
     @property
     def bits_per_s(self) -> float:
@@ -75,7 +77,9 @@ def check_interfaces(machine: Machine, streams: Sequence[GigeStream]) -> list[Fi
     findings: list[Finding] = []
     by_interface: dict[str, list[GigeStream]] = {}
     for stream in streams:
-        interface, is_direct = interface_towards(machine, stream.address)
+        interface, is_direct = (
+            (stream.interface, True) if stream.interface else interface_towards(machine, stream.address)
+        )
         if interface is None or not is_direct:
             findings.append(_no_way(machine, stream, interface))
             continue
@@ -187,7 +191,10 @@ def _check_reverse_path(machine: Machine, interface: str, using: Sequence[GigeSt
         other
         for stream in using
         for network, other, is_direct in parse_routes(machine.read("/proc/net/route") or "")
-        if is_direct and other != interface and ipaddress.IPv4Address(stream.address) in network
+        if is_direct
+        and other != interface
+        and stream.address
+        and ipaddress.IPv4Address(stream.address) in network
     }
     if is_strict and rivals:
         return warning(

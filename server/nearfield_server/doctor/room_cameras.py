@@ -52,16 +52,17 @@ def exposures_per_picture(source: DeviceSourceTable) -> int:
 
 
 def gige_streams(room: RoomConfig) -> list[GigeStream]:
-    """What the GigE cameras of a room send that are named by address."""
+    """What the GigE cameras of a room send: those with an address, and those with a network interface to be found on."""
     return [
         GigeStream(
             camera_id=camera.camera_id,
-            address=str(source.address),
+            address=str(source.address or ""),
+            interface=source.interface or "",
             payload=frame_bytes(camera, source),
             frame_rate=room.frame_rate * exposures_per_picture(source),
         )
         for camera, source in zip(room.cameras, room.sources, strict=True)
-        if isinstance(source, AravisSourceTable) and source.address is not None
+        if isinstance(source, AravisSourceTable) and (source.address or source.interface)
     ]
 
 

@@ -264,6 +264,13 @@ def test_a_strict_source_check_with_two_interfaces_in_one_network(machine: FakeM
     expect(_about(network.check_interfaces(machine, [stream()]), "source check enp3s0"), OK)
 
 
+def test_a_camera_found_by_its_serial_uses_the_interface_that_the_room_names(machine: FakeMachine) -> None:
+    by_serial = GigeStream(camera_id="cam1", address="", payload=1000, frame_rate=10, interface="enp1s0")
+    findings = network.check_interfaces(machine, [by_serial])
+    expect(_about(findings, "link enp1s0"), OK, "cam1")
+    expect(_about(findings, "packets enp1s0"), WARNING, "ip link set dev enp1s0 mtu 9000")
+
+
 def test_firewalls(machine: FakeMachine) -> None:
     machine.files["/etc/ufw/ufw.conf"] = "# on\nENABLED=no"
     expect(network.check_firewall(machine, ["enp3s0"]), OK)

@@ -58,6 +58,7 @@ def test_what_cameras_send(make_room: MakeRoom) -> None:
         'kind = "aravis", address = "192.168.10.22", pixel_format = "Mono8", region = [0, 0, 100, 50]',
         BY_ADDRESS.replace("21", "23") + ', hdr = { mode = "bracket", exposures_s = [0.01, 0.001, 0.0001] }',
         'kind = "aravis", serial = "1"',
+        'kind = "aravis", serial = "2", interface = "enp3s0", pixel_format = "Mono8", region = [0, 0, 10, 10]',
         'kind = "remote", node = "window", camera = "cam9"',
     )
     streams = gige_streams(room)
@@ -65,9 +66,11 @@ def test_what_cameras_send(make_room: MakeRoom) -> None:
         ("cam0", "192.168.10.21", 1024 * 768 * 3 // 2, 10.0),
         ("cam1", "192.168.10.22", 5000, 10.0),
         ("cam2", "192.168.10.23", 1024 * 768 * 3 // 2, 30.0),
+        ("cam4", "", 100, 10.0),
     ]
+    assert [s.interface for s in streams] == ["", "", "", "enp3s0"]
     whole = 1024 * 768 * 3 // 2
-    assert recorded_bytes_per_s(room) == 10 * (whole + 5000 + 3 * whole + whole + 1024 * 768 * 6)
+    assert recorded_bytes_per_s(room) == 10 * (whole + 5000 + 3 * whole + whole + 100 + 1024 * 768 * 6)
 
 
 def test_gige_cameras(make_room: MakeRoom, machine: FakeMachine) -> None:
