@@ -10,6 +10,7 @@ import subprocess
 import sys
 import threading
 import time
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -43,11 +44,11 @@ class CameraProcess:
             self._command += [f"--{name.replace('_', '-')}", str(value)]
         self.start()
 
-    def start(self) -> None:
-        """Switch the camera on; settings of an earlier life are gone, as with a real one."""
+    def start(self, *extra: str) -> None:
+        """Switch the camera on, with further options; settings of an earlier life are gone, as with a real one."""
         self._answers: queue.Queue[dict[str, Any]] = queue.Queue()
         self.process = subprocess.Popen(
-            self._command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, bufsize=1
+            [*self._command, *extra], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, bufsize=1
         )
         threading.Thread(target=self._listen, args=(self.process, self._answers), daemon=True).start()
 
@@ -80,6 +81,12 @@ class CameraProcess:
         """Cut the camera's power."""
         self.process.kill()
         self.process.wait(PATIENCE_S)
+
+    def restart(self, *extra: str) -> None:
+        """Cut the power and switch on again, with further options, and wait until the camera serves."""
+        self.close()
+        self.start(*extra)
+        self.ready()
 
     def freeze(self) -> None:
         """Let the camera hang."""
@@ -116,11 +123,10 @@ class Cable:
 
     def pull(self) -> None:
         """Cut it."""
-        rules = f"""table ip {self._table} {{ chain cut {{ type filter hook output priority 0;
-            ip saddr {self.address} drop
-            ip daddr {self.address} drop
-        }} }}"""
-        _nft(rules)
+        _nft(
+            f"table ip {self._table} {{\n chain cut {{\n  type filter hook output priority 0;\n"
+            f"  ip saddr {self.address} drop\n  ip daddr {self.address} drop\n }}\n}}\n"
+        )
 
     def plug(self) -> None:
         """Mend it; may be called twice."""
@@ -131,44 +137,54 @@ def _nft(rules: str) -> None:
     subprocess.run(["/usr/sbin/nft", "-f", "-"], input=rules, text=True, check=True, timeout=PATIENCE_S)
 
 
-def write_device_room(folder: Path, lab_room: Path, sources: list[dict[str, Any]], **room_keys: Any) -> Path:
+@dataclass(frozen=True)
+class DeviceCamera:
+    """A camera of a room file that is a device: its name, the camera of the virtual lab whose place it takes, its `source` table."""
+
+    camera_id: str
+    lab_camera: str
+    source: dict[str, Any]
+
+
+def write_device_room(folder: Path, lab_room: Path, cameras: list[DeviceCamera], **room_keys: Any) -> Path:
     """Write a room file like a room of the virtual lab whose cameras are devices.
 
     Args:
         folder: where room.toml goes.
         lab_room: the room with simulated cameras; models, lights and views are taken from it.
-        sources: one `source` table per camera of the new room: the first cameras of the lab room have them.
+        cameras: of the new room.
         room_keys: keys of the room, such as `frame_rate=10.0`.
 
     Returns:
         Path of room.toml.
     """
     room = load_room(lab_room)
-    lines = [
-        "format = 1",
-        _pair("name", room_keys.pop("name", room.name)),
-        _pair("model", room.model_path.resolve()),
-        _pair("atlas_size", room.atlas_size),
-        *(_pair(key, value) for key, value in room_keys.items()),
-        *_lamp_lines(room),
-    ]
-    for camera, source in zip(room.cameras, sources, strict=False):
-        intrinsics = camera.intrinsics
+    by_name = {camera.camera_id: camera for camera in room.cameras}
+    keys = {
+        "name": room.name,
+        "model": room.model_path.resolve(),
+        "atlas_size": room.atlas_size,
+        **room_keys,
+    }
+    lines = ["format = 1", *(_pair(key, value) for key, value in keys.items()), *_furniture(room)]
+    for camera in cameras:
+        place = by_name[camera.lab_camera]
+        lens = place.intrinsics
         lines += [
             "[[cameras]]",
             _pair("id", camera.camera_id),
-            *(_pair(key, getattr(intrinsics, key)) for key in ("width", "height", "fx", "fy", "cx", "cy")),
-            _pair("k", list(intrinsics.k)),
-            _pair("theta_max", intrinsics.theta_max),
-            _pair("world_from_camera", camera.world_from_camera),
-            _pair("source", source),
+            *(_pair(key, getattr(lens, key)) for key in ("width", "height", "fx", "fy", "cx", "cy")),
+            _pair("k", list(lens.k)),
+            _pair("theta_max", lens.theta_max),
+            _pair("world_from_camera", place.world_from_camera),
+            _pair("source", camera.source),
         ]
     file = folder / "room.toml"
     file.write_text("\n".join(lines) + "\n", encoding="utf-8")
     return file
 
 
-def _lamp_lines(room: RoomConfig) -> list[str]:
+def _furniture(room: RoomConfig) -> list[str]:
     lines: list[str] = []
     for light in room.lights:
         lines += [

@@ -138,9 +138,11 @@ class VirtualCamera:
         self._payload = np.zeros(0, np.uint8)
         self._aravis: Aravis = load()
         self._pattern = FillPattern(self._fill)
+        # Known beforehand: the device class answers from its first moment, and until the registers are set it is another camera.
+        size = scenery.radiance(self.state.lights).shape[:2]
         self._device = self._switch_on()
         self._fake = self._aravis.c.arv_gv_fake_camera_get_fake_camera(self._device)
-        self._set_registers()
+        self._set_registers(*size)
         self._aravis.c.arv_fake_camera_set_trigger_frequency(self._fake, _TRIGGER_POLL_HZ)
         self._aravis.set_fill_pattern(self._fake, self._pattern)
 
@@ -209,14 +211,7 @@ class VirtualCamera:
             "failure": self.failure,
         }
 
-    def _set_registers(self) -> None:
-        for address, text, length in (
-            (Register.VENDOR_NAME, "Nearfield", 32),
-            (Register.MODEL_NAME, "TestCamera", 32),
-            (Register.DEVICE_VERSION, "1", 32),
-        ):
-            self._write_memory(address, text.encode().ljust(length, b"\0"))
-        height, width = self._scenery.radiance(self.state.lights).shape[:2]
+    def _set_registers(self, height: int, width: int) -> None:
         for register, value in (
             (Register.SENSOR_WIDTH, width),
             (Register.SENSOR_HEIGHT, height),
@@ -226,6 +221,12 @@ class VirtualCamera:
             (Register.PTP_STATUS, PTP_DISABLED),
         ):
             self._write(register, value)
+        for address, text in (
+            (Register.VENDOR_NAME, "Nearfield"),
+            (Register.MODEL_NAME, "TestCamera"),
+            (Register.DEVICE_VERSION, "1"),
+        ):
+            self._write_memory(address, text.encode().ljust(32, b"\0"))
         self._write_float(Register.EXPOSURE_US, 10_000.0)
         self._write_float(Register.GAIN_DB, 0.0)
         self._write_float(Register.BLACK_LEVEL, 0.0)
