@@ -114,6 +114,16 @@ def cpu_seconds(pid: int) -> float:
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
+def thread_cpu_seconds(pid: int, prefix: str) -> float:
+    """CPU time of the threads of a process whose names begin with `prefix`, seconds."""
+    total = 0
+    for task in Path(f"/proc/{pid}/task").iterdir():
+        name, _, rest = (task / "stat").read_text().partition("(")[2].rpartition(")")
+        if name.startswith(prefix):
+            total += sum(int(value) for value in rest.split()[11:13])
+    return total / os.sysconf("SC_CLK_TCK")
+
+
 class Cable:
     """The way to a camera, which can be pulled: packets from and to its address are dropped, and nobody is told."""
 

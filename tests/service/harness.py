@@ -16,6 +16,7 @@ from typing import Any
 from nearfield_protocol.codec import ClientMessage, LightPacket, decode_light_packet, encode_client_message
 from nearfield_server.bus.keys import CONTROL_REQUEST
 from nearfield_server.bus.session import Bus
+from nearfield_server.scene.room_config import load_room
 from nearfield_server.supervisor.launcher import free_loopback_port
 
 TINY_ROOM = Path(__file__).parents[1] / "data" / "tiny_room"
@@ -27,7 +28,7 @@ class Service:
     """`nearfield serve` on the tiny room, and a bus session that listens to it."""
 
     def __init__(self, log_path: Path, *arguments: str, room: Path = TINY_ROOM, **environment: str) -> None:
-        self.log_path = log_path
+        self.log_path, self.room = log_path, room
         self.bus_port = free_loopback_port()
         self._changed = threading.Condition()
         self._packets: list[tuple[float, LightPacket]] = []
@@ -44,7 +45,7 @@ class Service:
             stderr=subprocess.STDOUT,
             env={**os.environ, **environment},
         )
-        self.bus = Bus(TINY_NAME, connect_port=self.bus_port)
+        self.bus = Bus(load_room(room).name, connect_port=self.bus_port)
         self.bus.subscribe("light/packet", self._take_packet)
         self.bus.subscribe("light/atlas", self._take_atlas)
         self.bus.subscribe("status/*", self._take_status)
