@@ -13,6 +13,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from tests.cameras.harness import (
     FULL_WELL_RADIANCE,
     Cable,
@@ -22,6 +23,11 @@ from tests.cameras.harness import (
 )
 from tests.network_namespace import camera_address
 from tests.service.harness import PATIENCE_S, Service
+
+from nearfield_server.capture.darkroom import Darkroom
+from nearfield_server.capture.device import Exposure, SensorFrame
+from nearfield_server.capture.ingest import ingest_frame
+from nearfield_server.scene.device_schema import AravisSourceTable
 
 
 def device_source(address: str, exposure_s: float, **keys: Any) -> dict[str, Any]:
@@ -133,6 +139,7 @@ def running_rig(
         room_keys: keys of the room file; `source` may hold further keys of each camera's source.
     """
     source_keys = room_keys.pop("source", {})
+    compile_kernels()
     running = [
         CameraProcess(lab_room, name, camera_address(first_address + index), seed=index + 1)
         for index, name in enumerate(cameras)
@@ -157,6 +164,24 @@ def running_rig(
             assert service.close() == 0
         for camera in running:
             camera.close()
+
+
+def compile_kernels() -> None:
+    """Develop a picture here, so that four camera processes at once need not compile what does it: they find it in numba's cache."""
+    table = AravisSourceTable.model_validate(device_source("127.0.0.1", 1.0))
+    frame = SensorFrame(
+        data=np.zeros(16 * 16 * 3 // 2, np.uint8),
+        pixel_format=table.pixel_format,
+        width=16,
+        height=16,
+        frame_id=0,
+        device_ns=0,
+        arrival_ns=0,
+        exposure=Exposure(time_s=1.0),
+    )
+    picture = np.zeros((16, 16, 4), np.float16)
+    Darkroom("warm", table, 16, 16).develop(frame, frame.exposure, picture)
+    ingest_frame(picture, np.zeros_like(picture), np.ones((16, 16), np.bool_))
 
 
 def open_descriptors(pid: int) -> int:

@@ -106,7 +106,9 @@ class FakeWorker:
     def __init__(self) -> None:
         self.stop = threading.Event()
         self.control = None
-        self.log: Any = type("Log", (), {"warning": lambda *_args, **_fields: None})()
+        self.log: Any = type(
+            "Log", (), {level: lambda *_args, **_fields: None for level in ("info", "warning")}
+        )()
         self.beats: list[dict[str, Any]] = []
 
     def beat(self, phase: str = "running", **status: Any) -> None:
