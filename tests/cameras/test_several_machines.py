@@ -67,7 +67,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         folder,
         TINY_ROOM,
         [
-            DeviceCamera(node, lab.camera_id, {"kind": "remote", "node": node, "camera": "cam"})
+            DeviceCamera(lab.camera_id, lab.camera_id, {"kind": "remote", "node": node, "camera": "cam"})
             for node, lab in zip(("window", "door"), load_room(TINY_ROOM).cameras, strict=False)
         ],
         frame_rate=10.0,

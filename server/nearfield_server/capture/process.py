@@ -28,10 +28,8 @@ from nearfield_server.scene.room_config import load_room
 
 _RATE_WINDOW_S = 2.0
 _FIRST_RETRY_S = 0.3
-_LONGEST_RETRY_S = 1.0  # an attempt costs little; a camera that is back should be seen at once
 _AWAY_RETRY_S = 0.7
 _HEALTHY_AFTER_S = 10.0
-_FIRST_PICTURE_S = 1.0
 _LATENCY_WEIGHT = 0.1
 
 
@@ -146,13 +144,11 @@ def capture_loop(
     worker: Worker, pump: FramePump, frame_rate: float, describe: Callable[[], dict[str, Any]]
 ) -> None:
     """Run one camera until the worker is told to stop; a failing source is reopened with back-off for ever."""
-    backoff = Backoff(initial_s=_FIRST_RETRY_S, maximum_s=_LONGEST_RETRY_S)
+    backoff = Backoff(initial_s=_FIRST_RETRY_S)
     is_open = False
     retry_at, healthy_since = 0.0, 0.0
     period_s = 1.0 / frame_rate
     fault, logged = "", ""
-    missing_since_s: float | None = time.monotonic()
-    first_until_s = 0.0
     while not worker.stop.is_set():
         try:
             if not is_open and time.monotonic() >= retry_at:
@@ -161,27 +157,18 @@ def capture_loop(
                 pump.source.open()
                 pump.reopened()
                 is_open, healthy_since = True, time.monotonic()
-                if not pump.statistics.frames:
-                    # The first picture of a machine compiles the kernels that develop it, which may take long and is no hang.
-                    first_until_s = time.monotonic() + max(_FIRST_PICTURE_S, 3.0 * period_s)
             if is_open:
                 state = worker.control
                 if state is not None:
                     pump.source.set_light_weights(state.light_weights)
                 delivered = pump.step(time.monotonic_ns())
-                if delivered and missing_since_s is not None:
-                    worker.log.info("camera delivers", after_s=round(time.monotonic() - missing_since_s, 2))
-                    missing_since_s = None
-                    first_until_s = 0.0
                 fault = "" if delivered else fault
                 if time.monotonic() - healthy_since > _HEALTHY_AFTER_S:
                     backoff.reset()
-                phase = "starting" if time.monotonic() < first_until_s else "running"
-                worker.beat(phase, **_status(pump, describe, is_open, fault))
+                worker.beat(**_status(pump, describe, is_open, fault))
                 pump.source.wait_for_frame(worker.stop, period_s)
         except (CaptureError, AssetError) as error:
             fault, is_open = str(error), False
-            missing_since_s = missing_since_s or time.monotonic()
             pump.source.close()
             pump.statistics.failures += 1
             delay_s = backoff.next_delay()
