@@ -156,6 +156,12 @@ class DeviceCamera:
     source: dict[str, Any]
 
 
+def in_place_of(lab_room: Path, sources: list[dict[str, Any]]) -> list[DeviceCamera]:
+    """Devices for the first cameras of a room, under the same names."""
+    names = [camera.camera_id for camera in load_room(lab_room).cameras]
+    return [DeviceCamera(name, name, source) for name, source in zip(names, sources, strict=False)]
+
+
 def write_device_room(folder: Path, lab_room: Path, cameras: list[DeviceCamera], **room_keys: Any) -> Path:
     """Write a room file like a room of the virtual lab whose cameras are devices.
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 import typer
 from click.testing import Result
-from tests.cameras.harness import CameraProcess, write_device_room
+from tests.cameras.harness import CameraProcess, in_place_of, write_device_room
 from tests.network_namespace import camera_address
 from tests.service.harness import TINY_ROOM
 from typer.testing import CliRunner
@@ -87,7 +87,7 @@ def test_the_doctor_of_a_room_of_real_cameras(
         {"kind": "aravis", "address": camera.address, "pixel_format": "BayerRG12p"}
         for camera in (free, taken)
     ]
-    room = write_device_room(tmp_path, TINY_ROOM, sources)
+    room = write_device_room(tmp_path, TINY_ROOM, in_place_of(TINY_ROOM, sources))
     first, second = (camera.camera_id for camera in load_room(room).cameras)
     told = json.loads(nearfield(doctor, room, "--json", "--port", "0").stdout)
     levels = {finding["check"]: finding["level"] for finding in told["findings"]}

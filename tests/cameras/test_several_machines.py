@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from tests.cameras.harness import DeviceCamera, wait_until, write_device_room
+from tests.cameras.harness import in_place_of, wait_until, write_device_room
 from tests.cameras.two_hosts import CLOCK_OFFSET_S, OtherHost, Process
 from tests.service.harness import TINY_ROOM, Service
 
@@ -66,10 +66,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_device_room(
         folder,
         TINY_ROOM,
-        [
-            DeviceCamera(lab.camera_id, lab.camera_id, {"kind": "remote", "node": node, "camera": "cam"})
-            for node, lab in zip(("window", "door"), load_room(TINY_ROOM).cameras, strict=False)
-        ],
+        in_place_of(
+            TINY_ROOM, [{"kind": "remote", "node": node, "camera": "cam"} for node in ("window", "door")]
+        ),
         frame_rate=10.0,
         remote={"listen": f"{SUBNET}.1:{PORT}", "certificates": "certificates"},
     )
