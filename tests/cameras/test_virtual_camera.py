@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import ctypes
-import time
 import itertools
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 
 import numpy as np
