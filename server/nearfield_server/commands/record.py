@@ -10,6 +10,7 @@ import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from types import FrameType
 from typing import Annotated, Any
 
 import typer
@@ -54,6 +55,8 @@ def record(
 ) -> None:
     """Record what the cameras of a room see, so that it can be replayed exactly. Ctrl-C ends the recording."""
     console = Console(stderr=True)
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, _interrupt)  # however this command is ended, the recording ends with it
     path = None if room is None else str(room.resolve())
     if stop:
         service = _chosen_service(path)
@@ -81,6 +84,10 @@ def record(
         _finish(service, console)
     if reason:
         raise ServiceError(reason)
+
+
+def _interrupt(_number: int, _frame: FrameType | None) -> None:
+    raise KeyboardInterrupt
 
 
 def _chosen_service(room_path: str | None) -> RunningService | None:

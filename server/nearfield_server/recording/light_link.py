@@ -13,7 +13,9 @@ from nearfield_server.bus.session import Bus
 from nearfield_server.errors import BusError
 
 ILLUMINATION: Final = "illumination"
-_ASK_AGAIN_S: Final = 3.0
+_ASK_AGAIN_S: Final = 15.0
+_BEGIN_PERIOD_S: Final = 30.0
+"""Least time between two begins for lost frames: each one costs the light half a second."""
 _PAUSE_S: Final = 0.05
 
 
@@ -30,7 +32,7 @@ class LightLink:
         self._stop = threading.Event()
         self._lock = threading.Lock()
         self._is_wanted = True
-        self._heard_s = time.monotonic()
+        self._begun_s = time.monotonic()
         self._run = self._number = -1
         bus.subscribe(LIGHT_LOG, self._take)
         bus.watch_alive(self._alive)
@@ -43,11 +45,21 @@ class LightLink:
         self._thread.join(timeout=2.0)
         self._bus.put(LIGHT_LOG_END, b"{}", must_arrive=True)
 
+    def begin_again(self) -> bool:
+        """A frame that the light used is lost: let another run begin, which can be followed again; false if the last begin is too young."""
+        with self._lock:
+            if time.monotonic() - self._begun_s < _BEGIN_PERIOD_S:
+                return False
+            self._begun_s = time.monotonic()
+            self._is_wanted = True
+            return True
+
     def _take(self, _key: str, payload: bytes) -> None:
         fields = parse_object(payload, LIGHT_LOG)
         with self._lock:
             if fields.get("kind") == "begin":
                 self._run, self._number = fields.get("run", -1), 0
+                self._begun_s = time.monotonic()
             elif fields.get("run") != self._run or fields.get("number") != self._number + 1:
                 # Out of the middle of a run: nothing can be made of it.
                 self._is_wanted = self._is_wanted or fields.get("run") == self._run
@@ -55,7 +67,6 @@ class LightLink:
                 return
             else:
                 self._number += 1
-            self._heard_s = time.monotonic()
         self.lines.put(fields)
 
     def _alive(self, process: str, is_alive: bool) -> None:

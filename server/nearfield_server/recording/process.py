@@ -32,6 +32,7 @@ from nearfield_server.recording.space import SpaceGuard
 from nearfield_server.scene.room_config import ROOM_FILE, load_room
 
 _POLL_S: Final = 0.003
+_TEND_S: Final = 0.02
 _STATUS_S: Final = 0.2
 _PATIENCE_S: Final = 3.0
 """When the service ends: time for what waits to be written."""
@@ -90,16 +91,32 @@ class RecordingRun:
         self._link_is_open = True
         self._started_s = self._status_s = time.monotonic()
         self._state = "recording"
+        self._stop_copying = threading.Event()
+        self._lost_used = 0
 
     def run(self, finish: threading.Event) -> None:
         """Record until told to finish, or to stop with the service."""
-        worker = self._worker
-        while not (worker.stop.is_set() or finish.is_set()):
-            self._recorder.poll()
+        # Frames are copied in a thread of their own: nothing that touches the disk may hold it up.
+        copier = threading.Thread(target=self._copy, name="copier", daemon=True)
+        copier.start()
+        stop = self._worker.stop
+        while not (stop.is_set() or finish.is_set()):
             self._take_lines()
             self._tend()
-            worker.stop.wait(_POLL_S)
-        self._finish(_PATIENCE_S if worker.stop.is_set() else _FINISH_PATIENCE_S)
+            stop.wait(_TEND_S)
+        self._stop_copying.set()
+        copier.join()
+        self._finish(_PATIENCE_S if stop.is_set() else _FINISH_PATIENCE_S)
+
+    def _copy(self) -> None:
+        beaten_s = 0.0
+        while not self._stop_copying.wait(_POLL_S):
+            self._recorder.poll()
+            now_s = time.monotonic()
+            if now_s - beaten_s > _STATUS_S:
+                # The life of the process is that of this loop: a disk that hangs is no reason to end it.
+                self._worker.beat()
+                beaten_s = now_s
 
     def _take_lines(self) -> None:
         while True:
@@ -123,6 +140,8 @@ class RecordingRun:
             return
         self._status_s = now_s
         self._recorder.tend(now_s)
+        if self._backlog.dropped_used > self._lost_used and self._link.begin_again():
+            self._lost_used = self._backlog.dropped_used
         if self._recorder.fault and self._state == "recording":
             self._state = "stopped"
             self._worker.log.warning("recording stopped", reason=self._recorder.fault)
