@@ -183,6 +183,8 @@ class Functions(Protocol):
     ) -> MaybeObject: ...
     @_fails
     def arv_uv_device_new_from_guid(self, guid: Text) -> MaybeObject: ...  # noqa: D102
+    @_fails
+    def arv_fake_device_new(self, serial: Text) -> MaybeObject: ...  # noqa: D102
     def arv_device_get_genicam_xml(self, device: Object, size: Out) -> Address: ...  # noqa: D102
     def arv_device_get_feature(self, device: Object, feature: Text) -> MaybeObject: ...  # noqa: D102
     def arv_device_get_feature_access_mode(self, device: Object, feature: Text) -> Int: ...  # noqa: D102

@@ -19,13 +19,14 @@ def wanted_bytes(payload_bytes: int) -> int:
     return min(max(_PAYLOADS * payload_bytes, _LEAST_BYTES), _MOST_BYTES)
 
 
-def buffer_warning(wanted: int, granted: int) -> str:
-    """Words for the user where the kernel grants less than is wanted; "" where it does not."""
-    if granted >= wanted:
+def buffer_warning(payload_bytes: int, granted: int) -> str:
+    """Words for the user where the kernel grants less than two pictures, with which pictures are lost; "" where it does not."""
+    needed = min(2 * payload_bytes, _MOST_BYTES)
+    if granted >= needed:
         return ""
     return (
-        f"the kernel grants a receive buffer of {granted} bytes where {wanted} are needed: packets will be lost; "
-        f"allow more: sysctl -w net.core.rmem_max={wanted}"
+        f"the kernel grants a receive buffer of {granted} bytes where {needed} are needed: packets will be lost; "
+        f"allow more: sysctl -w net.core.rmem_max={wanted_bytes(payload_bytes)}"
     )
 
 

@@ -9,6 +9,7 @@ from nearfield_server.capture.aravis.exposure_control import ExposureControl, li
 from nearfield_server.capture.aravis.features import Features
 from nearfield_server.capture.device import Exposure
 from nearfield_server.errors import CaptureError
+from nearfield_server.imaging.pixel_formats import pixel_format
 from nearfield_server.scene.device_schema import AravisSourceTable
 
 _MOST_EXTRA_BYTES: Final = 4 << 20  # of a payload beyond its picture: chunks, alignment
@@ -116,6 +117,12 @@ def read_layout(features: Features, table: AravisSourceTable, width: int, height
         height=height,
         payload_bytes=int(features.number("PayloadSize")),
     )
+    known_bits = pixel_format(table.pixel_format).pixel_bits
+    if layout.bits_per_pixel != known_bits:
+        raise CaptureError(
+            f"expected {layout.pixel_format} to have {known_bits} bits per pixel, "
+            f"the camera's number for it ({layout.format_code:#010x}) says {layout.bits_per_pixel}"
+        )
     least = layout.image_bytes(0)
     if (
         not least <= layout.payload_bytes <= min(2 * least + _MOST_EXTRA_BYTES, _LARGEST_PAYLOAD_BYTES)

@@ -93,11 +93,9 @@ class Stream:
         self._rows = {row.ctypes.data: row for row in self.memory}
         self._shortest_transfer_ns = _OLDEST_LEADER_NS
         if is_gige and not can_open_packet_sockets():
-            wanted = wanted_bytes(payload_bytes)
-            self.receive_buffer_bytes = enlarge_receive_buffer(
-                self._c.arv_gv_stream_get_port(self.handle), wanted
-            )
-            self.warning = buffer_warning(wanted, self.receive_buffer_bytes)
+            port = self._c.arv_gv_stream_get_port(self.handle)
+            self.receive_buffer_bytes = enlarge_receive_buffer(port, wanted_bytes(payload_bytes))
+            self.warning = buffer_warning(payload_bytes, self.receive_buffer_bytes)
         for address in self._rows:
             self._c.arv_stream_push_buffer(self.handle, self._c.arv_buffer_new(payload_bytes, address))
 

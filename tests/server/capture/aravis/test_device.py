@@ -478,10 +478,9 @@ def test_a_small_receive_buffer_is_a_warning(
         assert isinstance(granted, int)
         assert granted >= receive_buffer.wanted_bytes(WIDTH * HEIGHT)
         assert "warnings" not in opened.statistics()
-    monkeypatch.setattr(stream, "wanted_bytes", lambda payload_bytes: 1 << 40)
-    monkeypatch.setattr(stream, "enlarge_receive_buffer", lambda port, wanted: granted)
+    monkeypatch.setattr(stream, "enlarge_receive_buffer", lambda port, wanted: 4000)
     with Opened(table(address)) as opened:
-        assert f"receive buffer of {granted} bytes" in str(opened.statistics()["warnings"])
+        assert "receive buffer of 4000 bytes" in str(opened.statistics()["warnings"])
         assert "sysctl -w net.core.rmem_max" in str(opened.statistics()["warnings"])
 
 
@@ -675,7 +674,11 @@ HOSTILE: dict[str, tuple[bytes | None, bytes | None, str]] = {
         None,
         r"expected one of \?2J\?",
     ),
-    "format of no bits": (describe(enumeration("PixelFormat", {"Mono8": 0})), None, "payload"),
+    "format of no bits": (
+        describe(enumeration("PixelFormat", {"Mono8": 0})),
+        None,
+        r"the camera's number for it \(0x00000000\) says 0",
+    ),
     "empty description": (b"<RegisterDescription/>", None, "has no feature"),
     "too small": (describe(integer("Width", 8, 16)), None, "Width cannot be 64"),
 }

@@ -23,8 +23,8 @@ def test_at_least_two_pictures_fit_up_to_the_limit(payload_bytes: int) -> None:
 
 
 def test_the_user_is_told_what_to_do() -> None:
-    assert buffer_warning(6_000_000, 6_000_000) == ""
-    assert buffer_warning(6_000_000, 212_992).endswith("sysctl -w net.core.rmem_max=6000000")
+    assert buffer_warning(2_000_000, 4_000_000) == ""  # two pictures
+    assert buffer_warning(2_000_000, 212_992).endswith("sysctl -w net.core.rmem_max=6000000")  # three
 
 
 def test_the_buffer_of_the_socket_itself_is_enlarged() -> None:
