@@ -19,7 +19,7 @@ import pytest
 from tests.server.recording.victim import SIDE, pattern
 
 from nearfield_server.capture.frame_ring import FrameRingReader, FrameRingWriter
-from nearfield_server.capture.ring_memory import RingShape, create_ring
+from nearfield_server.capture.ring_memory import COUNTER_NAMES, RingShape, create_ring
 from nearfield_server.recording.backlog import Backlog
 from nearfield_server.recording.files.frame_info import FrameInfo
 from nearfield_server.recording.files.library import open_recording
@@ -75,7 +75,7 @@ class Bench:
     def picture(self, camera: int, value: float, metadata: bytes = b"") -> None:
         with self.cameras[camera].write(int(value), 1000 + int(value), metadata) as draft:
             draft.pixels[...] = value
-            draft.counters[...] = [0, 0, 0, 0, 5]
+            draft.counters[...] = [5 * (name == "saturated") for name in COUNTER_NAMES]
 
     def wait(self, condition: Callable[[], bool]) -> None:
         end = time.monotonic() + 60

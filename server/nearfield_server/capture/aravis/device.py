@@ -21,7 +21,9 @@ from nearfield_server.capture.aravis.settings import (
     PictureLayout,
     apply_settings,
     has_software_trigger,
+    lift_frame_rate,
     read_layout,
+    set_frame_rate,
     set_trigger,
 )
 from nearfield_server.capture.aravis.stream import (
@@ -137,9 +139,8 @@ class AravisDevice:
     def set_exposure(self, exposure: Exposure) -> Exposure:
         """Expose the next pictures so; ends a sequence. Returns what the device made of it."""
         opened = self._require_open()
-        with_sequence = opened.sequencer.is_running
-        if with_sequence:
-            self._while_stopped(opened.sequencer.stop)
+        if opened.sequencer.is_running:
+            self._while_stopped(self._end_sequence)
         opened.commanded = self._asked(lambda: opened.exposure.set(exposure))
         return opened.commanded
 
@@ -155,16 +156,31 @@ class AravisDevice:
     def use_trigger(self, software: bool) -> None:
         """Pictures on request (true), or as the room file says: free running or at a hardware signal (false)."""
         features = self._require_open().features
-        fallback = "free" if self._table.trigger == "software" else self._table.trigger
-        self._while_stopped(lambda: set_trigger(features, "software" if software else fallback))
+        trigger = (
+            "software" if software else "free" if self._table.trigger == "software" else self._table.trigger
+        )
+
+        def switch() -> None:
+            set_trigger(features, trigger)
+            self._set_rate(trigger)
+
+        self._while_stopped(switch)
 
     def program_sequence(self, exposures: Sequence[Exposure]) -> tuple[Exposure, ...]:
-        """Let the device cycle through exposures by itself; returns them as the device rounded them."""
+        """Let the device cycle through exposures by itself, so fast that whole cycles come at the frame rate, or as fast as it can.
+
+        Returns them as the device rounded them.
+        """
         opened = self._require_open()
         if not opened.sequencer.is_offered:
             raise CaptureError(f"{self._where} has no sequencer")
         rounded: list[Exposure] = []
-        self._while_stopped(lambda: rounded.extend(opened.sequencer.program(exposures)))
+
+        def program() -> None:
+            rounded.extend(opened.sequencer.program(exposures))
+            self._set_rate(self._table.trigger, len(exposures))
+
+        self._while_stopped(program)
         return tuple(rounded)
 
     def next_frame(self, timeout_s: float) -> SensorFrame | None:
@@ -332,15 +348,35 @@ class AravisDevice:
         assert stream is not None
 
         def stop_change_start() -> None:
+            refusal: CaptureError | None = None
             stream.stop()
             try:
                 change()
-            finally:
-                opened.commanded = opened.exposure.read()
-                self._counter.restarted()
+            except CaptureError as error:
+                if isinstance(error, AravisError) and error.is_timeout:
+                    raise
+                refusal = error
+                if opened.sequencer.is_offered:
+                    self._end_sequence()
+            opened.commanded = opened.exposure.read()
+            self._counter.restarted()
             stream.start()
+            if refusal is not None:
+                raise refusal
 
         self._asked(stop_change_start)
+
+    def _end_sequence(self) -> None:
+        self._require_open().sequencer.stop()
+        self._set_rate(self._table.trigger)
+
+    def _set_rate(self, trigger: str, pictures: int = 1) -> None:
+        """So many pictures per period when running freely, as fast as can be on request; a hardware trigger has its own rate."""
+        features = self._require_open().features
+        if trigger == "free":
+            set_frame_rate(features, pictures * self._frame_rate)
+        elif trigger == "software":
+            lift_frame_rate(features)
 
     def _require_open(self) -> _Opened:
         if self._opened is None:

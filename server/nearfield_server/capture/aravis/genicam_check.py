@@ -10,8 +10,9 @@ What a description could do to libaravis 0.8, and what is refused here:
 - formulas of great length: limited.
 
 What stays: while libaravis parses, it may be sent another description than was judged (afterwards both are compared, before any node is
-evaluated); values that formulas compute are only known when they are read (every number is judged again where it is used); and libaravis
-may have errors of its own. Each camera has its own process, so what is left ends that process alone, which is started again with back-off.
+evaluated); values that formulas compute are only known when they are read (every number is judged again where it is used); it may answer
+libaravis as slowly as it likes; and libaravis may have errors of its own. Each camera has its own process, so what is left ends that
+process alone, which is started again with back-off.
 A USB3 Vision camera is judged after libaravis has parsed its description, before any node is evaluated.
 """
 

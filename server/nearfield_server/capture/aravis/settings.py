@@ -13,6 +13,8 @@ from nearfield_server.imaging.pixel_formats import pixel_format
 from nearfield_server.scene.device_schema import AravisSourceTable
 
 _MOST_EXTRA_BYTES: Final = 4 << 20  # of a payload beyond its picture: chunks, alignment
+_RATE_SWITCHES: Final = ("AcquisitionFrameRateEnable", "AcquisitionFrameRateEnabled")
+_RATES: Final = ("AcquisitionFrameRate", "AcquisitionFrameRateAbs")
 _LARGEST_PAYLOAD_BYTES: Final = 1 << 30
 
 
@@ -91,7 +93,11 @@ def apply_settings(
                 f"it takes {exposure.range_s[0]:g} to {exposure.range_s[1]:g} s "
                 f"and gains {exposure.gain_range[0]:.3f} to {exposure.gain_range[1]:.3f}"
             )
-    warnings = [_set_frame_rate(features, frame_rate)] if table.trigger != "hardware" else []
+    warnings = []
+    if table.trigger == "free":
+        warnings.append(set_frame_rate(features, frame_rate))
+    elif table.trigger == "software":
+        lift_frame_rate(features)
     warnings += [
         f"{name} is on: exposures change behind the labels of the pictures; set it Off"
         for name in exposure.running_automatics()
@@ -133,6 +139,36 @@ def read_layout(features: Features, table: AravisSourceTable, width: int, height
             f"the camera names {layout.payload_bytes}"
         )
     return layout
+
+
+def set_frame_rate(features: Features, frame_rate: float) -> str:
+    """Set pictures per second, as near as the camera can; returns a warning in words, "" if it can.
+
+    Raises:
+        CaptureError: the camera refuses.
+    """
+    for switch in _RATE_SWITCHES:
+        features.set_if_possible(switch, True)
+    features.set_if_possible("AcquisitionFrameRateAuto", "Off")
+    name = features.first(*_RATES)
+    if name is None or not features.is_writable(name):
+        return "the camera's frame rate cannot be set: it sends as fast as it likes"
+    made = features.set_clamped(name, frame_rate)
+    if abs(made / frame_rate - 1.0) > 0.02:
+        least, greatest = features.range(name)
+        return (
+            f"frame rate {frame_rate:g} Hz asked, the camera made {made:.3g} Hz of it; "
+            f"with these settings it takes {least:.3g} to {greatest:.3g} Hz"
+        )
+    return ""
+
+
+def lift_frame_rate(features: Features) -> None:
+    """Let the camera answer triggers as fast as it can: most let the frame rate limit triggered pictures too."""
+    if not any([features.set_if_possible(switch, False) for switch in _RATE_SWITCHES]):
+        name = features.first(*_RATES)
+        if name is not None and features.is_writable(name):
+            features.set_clamped(name, features.range(name)[1])
 
 
 def set_trigger(features: Features, trigger: str) -> None:
@@ -192,20 +228,3 @@ def _set_binning(features: Features, binning: int) -> None:
     for name in names:
         if features.number(name) != binning:
             features.set(name, binning)
-
-
-def _set_frame_rate(features: Features, frame_rate: float) -> str:
-    for switch in ("AcquisitionFrameRateEnable", "AcquisitionFrameRateEnabled"):
-        features.set_if_possible(switch, True)
-    features.set_if_possible("AcquisitionFrameRateAuto", "Off")
-    name = features.first("AcquisitionFrameRate", "AcquisitionFrameRateAbs")
-    if name is None or not features.is_writable(name):
-        return "the camera's frame rate cannot be set: it sends as fast as it likes"
-    made = features.set_clamped(name, frame_rate)
-    if abs(made / frame_rate - 1.0) > 0.02:
-        least, greatest = features.range(name)
-        return (
-            f"frame rate {frame_rate:g} Hz asked, the camera made {made:.3g} Hz of it; "
-            f"with these settings it takes {least:.3g} to {greatest:.3g} Hz"
-        )
-    return ""

@@ -21,6 +21,7 @@ from nearfield_server.scene.node_config import NodeCamera, NodeConfig
 
 _JOINED_LIMIT_S = 2.5
 _RETRY_S = 0.5
+_CONFIRMED_POLL_S = 0.025
 _DIAGNOSIS_PERIOD_S = 5.0
 _log = structlog.get_logger("nearfield.node")
 
@@ -108,26 +109,31 @@ class NodeLink:
                 self._stop.wait(_RETRY_S)
                 continue
             self._tell_changes()
-            self._signal.wait(min(self._period_s, 0.1))
+            # New pictures ring; that an old one still holds is only to be seen in the ring.
+            self._signal.wait(min(self._period_s, _CONFIRMED_POLL_S))
+            if not self.is_joined:
+                continue
             now_s = time.monotonic()
             if now_s < next_s:  # more frames than `max_rate`: the next message holds them all
                 self._stop.wait(next_s - now_s)
-            if not self.is_joined:
-                continue
-            next_s = max(next_s, time.monotonic() - self._period_s) + self._period_s
-            self._send()
+            if self._send():
+                # A frame that comes a little early is not held up: one period may be saved, no more.
+                next_s = max(next_s, time.monotonic() - self._period_s) + self._period_s
 
-    def _send(self) -> None:
+    def _send(self) -> bool:
+        """Send the newest frame, if there is news; true if there was."""
         view = self._ring.newest()
         if view is None or self._link is None:
-            return
+            return False
         with self._lock:
             message = self._sender.next_message(view, time.monotonic_ns())
-        if message is not None:
-            try:
-                self._link.put("frame", message)
-            except BusError as error:
-                _log.warning("frame not sent", reason=str(error))
+        if message is None:
+            return False
+        try:
+            self._link.put("frame", message)
+        except BusError as error:
+            _log.warning("frame not sent", reason=str(error))
+        return True
 
     def _open(self) -> bool:
         node, camera = self._node, self._camera

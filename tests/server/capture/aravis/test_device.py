@@ -357,7 +357,9 @@ def test_pictures_on_request(camera: GigeCamera, address: str) -> None:
             opened.trigger()
             take(opened, 1)
         assert opened.next_frame(0.0) is None
+        assert camera.values["AcquisitionFrameRate"] == 200.0  # no limit to requests
         opened.use_trigger(False)
+        assert camera.values["AcquisitionFrameRate"] == 50.0
         take(opened, 3)
         opened.use_trigger(True)
         opened.trigger()
@@ -420,10 +422,14 @@ def test_a_sequence_cycles_and_ends(camera: GigeCamera, address: str) -> None:
             times.append(frame.exposure.time_s)
             opened.release(frame)
         assert times == pytest.approx([0.001, 0.004, 0.016] * 3)
+        assert camera.values["AcquisitionFrameRate"] == 150.0  # 50 whole sequences per second
         opened.set_exposure(Exposure(time_s=0.01))
         assert next_frame(opened).exposure.time_s == pytest.approx(0.01)
         with pytest.raises(CaptureError, match="has 4 sets; expected at most so many exposures, found 5"):
             opened.program_sequence([Exposure(time_s=0.001)] * 5)
+        assert camera.values["SequencerMode"] == 0
+        assert camera.values["AcquisitionFrameRate"] == 50.0
+        take(opened, 1)  # it goes on as before
 
 
 def test_a_camera_without_labels_goes_without(address: str) -> None:
