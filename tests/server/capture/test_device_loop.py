@@ -31,7 +31,9 @@ class FakeWorker:
 
     def __init__(self, enough: Callable[[list[dict[str, Any]]], bool]) -> None:
         self.stop, self.control, self._enough = threading.Event(), None, enough
-        self.log: Any = type("Log", (), {"warning": lambda *_args, **_fields: None})()
+        self.log: Any = type(
+            "Log", (), {level: lambda *_args, **_fields: None for level in ("info", "warning")}
+        )()
         self.beats: list[dict[str, Any]] = []
 
     def beat(self, phase: str = "running", **status: Any) -> None:
