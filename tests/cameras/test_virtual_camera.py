@@ -75,6 +75,10 @@ class Client:
                 return found
 
     def close(self) -> None:
+        """Stop, and give the simulated device the time of some pictures to notice: it looks for that once per picture."""
+        if self.stream is not None:
+            self.aravis.c.arv_device_execute_command(self.device, b"AcquisitionStop")
+            time.sleep(0.5)
         self.aravis.unref(self.stream)
         self.aravis.unref(self.device)
 

@@ -194,8 +194,12 @@ class VirtualCamera:
         """Let the stream follow its client; call it some twenty times a second.
 
         The device class looks up where to send pictures only when a stream begins, and does not notice a client that follows the one before
-        within a frame. A stream to nobody is therefore stopped and begun again.
+        within a frame. A stream to nobody is therefore stopped and begun again, and a client that leaves takes its stream with it.
         """
+        has_client = self._aravis.c.arv_fake_camera_get_control_channel_privilege(self._fake) != 0
+        if not has_client and self._read(Register.ACQUISITION) != 0:
+            self._resume_s = 0.0
+            self._write(Register.ACQUISITION, 0)
         if self._resume_s and time.monotonic() > self._resume_s:
             self._resume_s = 0.0
             self._write(Register.ACQUISITION, 1)
