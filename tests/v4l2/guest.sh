@@ -32,10 +32,10 @@ fi
 kernel=$cache/$(basename "$deb" .deb)
 if [ ! -e "$kernel/complete" ]; then
   rm -rf "$kernel" && mkdir -p "$kernel"
-  dpkg --fsys-tarfile "$deb" | tar -x -C "$kernel" --wildcards './boot/vmlinuz-*' './lib/modules/*/modules.*' \
-    './lib/modules/*/kernel/drivers/media/*' './lib/modules/*/kernel/drivers/virtio/*' './lib/modules/*/kernel/drivers/video/*' \
-    './lib/modules/*/kernel/drivers/i2c/*' './lib/modules/*/kernel/net/9p/*' './lib/modules/*/kernel/fs/9p/*' \
-    './lib/modules/*/kernel/fs/netfs/*' './lib/modules/*/kernel/fs/fscache/*' './lib/modules/*/kernel/drivers/usb/*'
+  dpkg --fsys-tarfile "$deb" | tar -x -C "$kernel" --wildcards './boot/vmlinuz-*' '*/modules/*/modules.*' '*/modules/*/kernel/drivers/media/*' \
+    '*/modules/*/kernel/drivers/usb/*' '*/modules/*/kernel/drivers/virtio/*' '*/modules/*/kernel/drivers/video/*' \
+    '*/modules/*/kernel/drivers/i2c/*' '*/modules/*/kernel/net/9p/*' '*/modules/*/kernel/fs/*'
+  [ -d "$kernel/lib" ] || ln -s usr/lib "$kernel/lib"
   find "$kernel" -name '*.ko.xz' -exec xz -d {} +
   depmod -b "$kernel" "$(ls "$kernel/lib/modules")"
   touch "$kernel/complete"
