@@ -42,6 +42,12 @@ if [ ! -e "$kernel/complete" ]; then
 fi
 release=$(ls "$kernel/lib/modules")
 
+# Kernels of numba for the processor that QEMU simulates (AVX2, half floats), compiled here: there it would take minutes.
+kernels=(NUMBA_CPU_NAME=x86-64-v3 NUMBA_CPU_FEATURES=)
+echo "vivid: compiling"
+env "${kernels[@]}" NUMBA_CACHE_DIR="$cache/numba" PYTHONPATH="$project:$project/server:$project/calibration:$project/protocol" \
+  .venv/bin/python tests/v4l2/warm_kernels.py
+
 work=$(mktemp -d)
 trap 'rm -rf "$work"' EXIT
 root=$work/root
@@ -58,6 +64,7 @@ done
 {
   printf 'cd %q\n' "$project"
   printf 'export HOME=/tmp PATH=%q PYTHONDONTWRITEBYTECODE=1 PYTHONUNBUFFERED=1 TERM=dumb PYTEST_DISABLE_PLUGIN_AUTOLOAD=1\n' "$PATH"
+  printf 'cp -a %q /tmp/numba; export NUMBA_CACHE_DIR=/tmp/numba %s\n' "$cache/numba" "${kernels[*]}"
   printf 'exec .venv/bin/python -m pytest -m vivid -p no:cacheprovider -p pytest_asyncio.plugin -p pytest_timeout --color=no --confcutdir=tests/v4l2 tests/v4l2'
   [ $# = 0 ] || printf ' %q' "$@"
   printf '\n'
