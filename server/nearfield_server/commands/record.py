@@ -156,7 +156,9 @@ def _estimate(service: RunningService, out: Path, seconds: float | None, console
     if seconds is not None:
         text += f", {per_s * seconds / 1e9:.2f} GB for {seconds:g} s"
     console.print(
-        f"{text}; {free / 1e9:.1f} GB free, enough for {free / per_s / 60:.0f} minutes", highlight=False
+        f"{text}; {free / 1e9:.1f} GB free, enough for {free / per_s / 60:.0f} minutes",
+        highlight=False,
+        soft_wrap=True,
     )
 
 

@@ -38,7 +38,9 @@ def verify(recording: Folder) -> None:
     problems = [words for words in damaged if words]
     _problems([*found.problems, *problems])
     Console().print(
-        f"{found.num_frames - len(problems)} of {found.num_frames} frames are whole", highlight=False
+        f"{found.num_frames - len(problems)} of {found.num_frames} frames are whole",
+        highlight=False,
+        soft_wrap=True,
     )
     if problems:
         raise typer.Exit(1)
