@@ -49,6 +49,8 @@ class NodeLink:
         self._node, self._camera, self._files = node, camera, files
         self._ring, self._signal, self._describe = ring, signal, describe
         self._period_s = 1.0 / camera.max_rate
+        # Where the camera itself keeps the rate, sending must be a little faster: what was held up once would stay late for ever.
+        self._interval_s = self._period_s * (1.0 if camera.max_rate < node.frame_rate else 0.8)
         self._sender = FrameSender(
             session=secrets.randbits(63) | 1,
             encoder=FrameEncoder(camera.compression),
@@ -117,8 +119,8 @@ class NodeLink:
             if now_s < next_s:  # more frames than `max_rate`: the next message holds them all
                 self._stop.wait(next_s - now_s)
             if self._send():
-                # A frame that comes a little early is not held up: one period may be saved, no more.
-                next_s = max(next_s, time.monotonic() - self._period_s) + self._period_s
+                # A frame that comes a little early is not held up: one interval may be saved, no more.
+                next_s = max(next_s, time.monotonic() - self._interval_s) + self._interval_s
 
     def _send(self) -> bool:
         """Send the newest frame, if there is news; true if there was."""
