@@ -19,6 +19,8 @@ BENCH_SOURCES := $(shell find client_web/bench -type f 2>/dev/null) client_web/v
 CLIENT_SOURCES := $(shell find client_web/src client_web/index.html client_web/setup.html client_web/status.html client_web/public protocol/nearfield_protocol/glsl -type f 2>/dev/null) \
 	client_web/vite.config.ts client_web/tsconfig.json
 
+SIDE_BY_SIDE := --numprocesses=auto --maxprocesses=4 --dist=loadfile
+
 .DEFAULT_GOAL := help
 .PHONY: help setup debian demo test test-cameras test-v4l2 bench lint unit lock clean
 
@@ -72,12 +74,12 @@ lint: $(PYTHON_STAMP) $(NODE_STAMP)  ## style, types, layering, generated files
 
 unit: $(PYTHON_STAMP) $(CLIENT_BUILD) $(BENCH_BUILD)  ## unit, service and browser tests
 	cd client_web && $(WITH_ENV) npm test --silent
-	# glibc overwrites freed memory, so that what still uses it is found. Cameras deliver in real time: their tests have the machine to themselves.
-	MALLOC_PERTURB_=165 $(BIN)/python -m pytest -m "not cameras" --numprocesses=auto --maxprocesses=4 --dist=loadfile
-	MALLOC_PERTURB_=165 $(BIN)/python -m pytest -m cameras
+	# glibc overwrites freed memory, so that what still uses it is found. Cameras deliver in real time: their tests run after the others.
+	MALLOC_PERTURB_=165 $(BIN)/python -m pytest -m "not cameras" $(SIDE_BY_SIDE)
+	MALLOC_PERTURB_=165 $(BIN)/python -m pytest -m cameras $(SIDE_BY_SIDE)
 
 test-cameras: setup  ## all tests of cameras and their faults alone, in a network namespace with only loopback
-	MALLOC_PERTURB_=165 $(BIN)/python -m pytest -m cameras
+	MALLOC_PERTURB_=165 $(BIN)/python -m pytest -m cameras $(SIDE_BY_SIDE)
 
 test-v4l2: $(PYTHON_STAMP)  ## V4L2 tests against the kernel's virtual cameras: here, or in a virtual machine (downloads about 150 MB once)
 	tests/v4l2/run.sh

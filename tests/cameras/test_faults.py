@@ -306,7 +306,7 @@ def test_many_reconnections_leave_no_thread_and_no_file_behind(rig: Rig) -> None
 
     reconnect()
     threads, files = held()
-    for _ in range(3):
+    for _ in range(2):
         reconnect()
     # What belonged to a dead camera is given back in the background, once its time limits are over.
     wait_until("what was held after the first", lambda: held()[0] <= threads and held()[1] <= files)
