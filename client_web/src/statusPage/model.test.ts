@@ -93,6 +93,10 @@ describe('status', () => {
     }
     const parsed = parseStatus({ ...status, processes: { ...status.processes, recorder } })
     expect(parsed?.recording).toMatchObject({ folder: 'take1', written: 40, dropped: 1, minutesLeft: null })
+    const gone = { ...recorder, status_age_s: 61 }
+    expect(
+      parseStatus({ ...status, processes: { ...status.processes, recorder: gone } })?.recording,
+    ).toBeNull()
   })
 })
 

@@ -70,7 +70,11 @@ const status = v.object({
 
 const supervisor = v.object({ uptime_s: finite, children: v.record(v.string(), child) })
 const illumination = v.object({ backend: v.string(), light_age_s: known })
+/** A recorder that is gone is remembered for a while, so that its last words can be read. */
+const REMEMBERED_S = 60
+
 const recorder = v.object({
+  status_age_s: v.nullish(finite, 0),
   folder: v.string(),
   frames_written: finite,
   frames_dropped: finite,
@@ -165,7 +169,7 @@ function processList(
 
 function parseRecording(json: unknown): Recording | null {
   const parsed = v.safeParse(recorder, json)
-  if (!parsed.success) {
+  if (!parsed.success || parsed.output.status_age_s > REMEMBERED_S) {
     return null
   }
   const entry = parsed.output
