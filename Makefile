@@ -19,7 +19,8 @@ BENCH_SOURCES := $(shell find client_web/bench -type f 2>/dev/null) client_web/v
 CLIENT_SOURCES := $(shell find client_web/src client_web/index.html client_web/setup.html client_web/status.html client_web/public protocol/nearfield_protocol/glsl -type f 2>/dev/null) \
 	client_web/vite.config.ts client_web/tsconfig.json
 
-SIDE_BY_SIDE := --numprocesses=auto --maxprocesses=4 --dist=loadfile
+# In the order of the folders: long files come early, so that no process waits for them at the end.
+SIDE_BY_SIDE := --numprocesses=auto --maxprocesses=4 --dist=loadfile --no-loadscope-reorder
 
 .DEFAULT_GOAL := help
 .PHONY: help setup debian demo test test-cameras test-v4l2 bench lint unit lock clean
