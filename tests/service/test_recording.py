@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -14,7 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.service.harness import PATIENCE_S, Service
+from tests.service.harness import PATIENCE_S, TINY_ROOM, Service
 
 from nearfield_protocol.codec import SetLightWeight, SetObjectPose
 from nearfield_server.capture.cameras import make_source
@@ -30,7 +31,10 @@ pytestmark = pytest.mark.service
 @pytest.fixture(scope="module")
 def noisy(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
     """A service whose cameras never deliver the same picture twice."""
-    service = Service(tmp_path_factory.mktemp("noisy") / "service.log", "--full-well", "20", "--rate", "10")
+    folder = tmp_path_factory.mktemp("noisy")
+    # A room of its own: `nearfield record ROOM` finds a service by its room, and other tests may serve the same one at this moment.
+    room = shutil.copytree(TINY_ROOM, folder / "room")
+    service = Service(folder / "service.log", "--full-well", "20", "--rate", "10", room=room)
     try:
         service.running()
         yield service

@@ -94,14 +94,16 @@ def _chosen_service(room_path: str | None) -> RunningService | None:
     """The service of a room, or the only one.
 
     Raises:
-        ConfigError: several run and none is named.
+        ConfigError: several run, and it is not clear which is meant.
     """
     found: list[tuple[RunningService, dict[str, Any]]] = []
     for service in running_services():
         with contextlib.suppress(ServiceError):  # it ended just now
             found.append((service, service.ask({"command": "status"})))
     if room_path is not None:
-        return next((service for service, status in found if status.get("room_path") == room_path), None)
+        found = [entry for entry in found if entry[1].get("room_path") == room_path]
+        if len(found) > 1:
+            raise ConfigError(f"{len(found)} services of {room_path} run on this machine; end all but one")
     if len(found) > 1:
         rooms = ", ".join(str(status.get("room_path")) for _, status in found)
         raise ConfigError(f"several services run on this machine; name the room: {rooms}")
