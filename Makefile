@@ -75,12 +75,12 @@ lint: $(PYTHON_STAMP) $(NODE_STAMP)  ## style, types, layering, generated files
 
 unit: $(PYTHON_STAMP) $(CLIENT_BUILD) $(BENCH_BUILD)  ## unit, service and browser tests
 	cd client_web && $(WITH_ENV) npm test --silent
-	# glibc overwrites freed memory, so that what still uses it is found. Cameras deliver in real time: their tests run after the others.
+	# glibc overwrites freed memory, so that what still uses it is found. Cameras deliver in real time: their tests have the machine to themselves.
 	MALLOC_PERTURB_=165 $(BIN)/python -m pytest -m "not cameras" $(SIDE_BY_SIDE)
-	MALLOC_PERTURB_=165 $(BIN)/python -m pytest -m cameras $(SIDE_BY_SIDE)
+	MALLOC_PERTURB_=165 $(BIN)/python -m pytest -m cameras
 
 test-cameras: setup  ## all tests of cameras and their faults alone, in a network namespace with only loopback
-	MALLOC_PERTURB_=165 $(BIN)/python -m pytest -m cameras $(SIDE_BY_SIDE)
+	MALLOC_PERTURB_=165 $(BIN)/python -m pytest -m cameras
 
 test-v4l2: $(PYTHON_STAMP)  ## V4L2 tests against the kernel's virtual cameras: here, or in a virtual machine (downloads about 150 MB once)
 	tests/v4l2/run.sh
