@@ -28,6 +28,7 @@ from nearfield_server.scene.room_config import load_room
 
 _RATE_WINDOW_S = 2.0
 _FIRST_RETRY_S = 0.3
+_LONGEST_RETRY_S = 1.0  # an attempt costs little; a camera that is back should be seen at once
 _AWAY_RETRY_S = 0.7
 _HEALTHY_AFTER_S = 10.0
 _LATENCY_WEIGHT = 0.1
@@ -144,11 +145,12 @@ def capture_loop(
     worker: Worker, pump: FramePump, frame_rate: float, describe: Callable[[], dict[str, Any]]
 ) -> None:
     """Run one camera until the worker is told to stop; a failing source is reopened with back-off for ever."""
-    backoff = Backoff(initial_s=_FIRST_RETRY_S)
+    backoff = Backoff(initial_s=_FIRST_RETRY_S, maximum_s=_LONGEST_RETRY_S)
     is_open = False
     retry_at, healthy_since = 0.0, 0.0
     period_s = 1.0 / frame_rate
     fault, logged = "", ""
+    missing_since_s: float | None = time.monotonic()
     while not worker.stop.is_set():
         try:
             if not is_open and time.monotonic() >= retry_at:
@@ -162,6 +164,9 @@ def capture_loop(
                 if state is not None:
                     pump.source.set_light_weights(state.light_weights)
                 delivered = pump.step(time.monotonic_ns())
+                if delivered and missing_since_s is not None:
+                    worker.log.info("camera delivers", after_s=round(time.monotonic() - missing_since_s, 2))
+                    missing_since_s = None
                 fault = "" if delivered else fault
                 if time.monotonic() - healthy_since > _HEALTHY_AFTER_S:
                     backoff.reset()
@@ -169,6 +174,7 @@ def capture_loop(
                 pump.source.wait_for_frame(worker.stop, period_s)
         except (CaptureError, AssetError) as error:
             fault, is_open = str(error), False
+            missing_since_s = missing_since_s or time.monotonic()
             pump.source.close()
             pump.statistics.failures += 1
             delay_s = backoff.next_delay()
