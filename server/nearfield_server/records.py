@@ -132,6 +132,10 @@ class TabletView:
 
 FRAME_TILE: Final = 32
 """Side of a tile of a camera picture, pixels: the unit in which changes of a picture are told."""
+VALID_BITS: Final = 0x3C00
+"""Alpha of a pixel that is measured, as the bits of a half float: 1."""
+LOWER_BOUND_BITS: Final = 0x3BFF
+"""Alpha of a pixel of which the radiance is only a lower bound: the largest half below 1."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

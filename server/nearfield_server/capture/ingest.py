@@ -14,14 +14,10 @@ from numpy.typing import NDArray
 
 from nearfield_server.capture.tile_tolerance import keep_tiles_within
 from nearfield_server.errors import CaptureError
-from nearfield_server.radiometry.half import float_to_half, half_to_float, pack_plain_rgb
-from nearfield_server.records import FRAME_TILE
+from nearfield_server.radiometry.half import HALF_MAX, float_to_half, half_to_float, pack_plain_rgb
+from nearfield_server.records import FRAME_TILE, LOWER_BOUND_BITS, VALID_BITS
 
-HALF_MAX = 65504.0
 _HALF_MAX_BITS = 0x7BFF
-_HALF_ONE_BITS = 0x3C00
-LOWER_BOUND_BITS: Final = 0x3BFF
-"""Alpha of a pixel whose radiance is only a lower bound, as bits: the largest half below 1."""
 INGEST_COUNTERS = ("nan", "infinite", "negative", "above_range", "lower_bound")
 _NOTHING_BEFORE: Final = np.zeros((0, 0), np.uint64)
 
@@ -57,7 +53,7 @@ def _clean_pixel(source: NDArray[np.float32], row: int, column: int, counts: NDA
     if alpha < np.float32(1.0):
         counts[4] += np.uint64(1)
         return word | np.uint64(LOWER_BOUND_BITS) << np.uint64(48)
-    return word | np.uint64(_HALF_ONE_BITS) << np.uint64(48)
+    return word | np.uint64(VALID_BITS) << np.uint64(48)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]

@@ -21,6 +21,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from nearfield_server.errors import ConfigError
+from nearfield_server.records import LOWER_BOUND_BITS
 
 BRIGHT_TARGET: Final = 0.6
 """Signal of the brightest pixel in the shortest exposure: where a new plan puts it."""
@@ -39,7 +40,6 @@ MOST_RATIO: Final = 64.0
 _SAME: Final = 0.05
 _BIN_SHIFT: Final = 6
 _NUM_BINS: Final = 0x8000 >> _BIN_SHIFT
-_BOUND_BITS: Final = 0x3BFF
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -92,7 +92,7 @@ def _count(words: NDArray[np.uint64], circle: NDArray[np.bool_], counts: NDArray
             alpha = word >> np.uint64(48)
             if (circle.shape[0] != 0 and not circle[row, column]) or alpha == np.uint64(0):
                 continue
-            if alpha == np.uint64(_BOUND_BITS):
+            if alpha == np.uint64(LOWER_BOUND_BITS):
                 num_bounds += 1
                 continue
             mask = np.uint64(0xFFFF)

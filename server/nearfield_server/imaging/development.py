@@ -24,15 +24,14 @@ from nearfield_server.imaging.pixel_formats import pixel_format
 from nearfield_server.imaging.response import make_response
 from nearfield_server.imaging.unpacking import plain_rows, unpack_row
 from nearfield_server.radiometry.half import HALF_MAX, float_to_half
+from nearfield_server.records import LOWER_BOUND_BITS, VALID_BITS
 from nearfield_server.scene.device_schema import SensorTable
 
-BOUND_ALPHA: Final = np.array(0x3BFF, np.uint16).view(np.float16)[()]
+BOUND_ALPHA: Final = np.array(LOWER_BOUND_BITS, np.uint16).view(np.float16)[()]
 """The largest half below 1: alpha of a pixel whose radiance is only a lower bound."""
 LINEAR_OFFSET: Final = 1.0 / 512.0
 OFFSET_STEPS: Final = 8.0
 _RING: Final = 8
-_VALID_BITS: Final = 0x3C00
-_BOUND_BITS: Final = 0x3BFF
 _SMALLEST_SIDE: Final = 4
 _CHECK_ROWS: Final = 8
 _JIT: Final = {"cache": True, "nogil": True, "error_model": "numpy"}
@@ -83,7 +82,7 @@ def _pack_pixels(
     m00, m01, m02, m03 = matrix[0, 0], matrix[0, 1], matrix[0, 2], matrix[0, 3]
     m10, m11, m12, m13 = matrix[1, 0], matrix[1, 1], matrix[1, 2], matrix[1, 3]
     m20, m21, m22, m23 = matrix[2, 0], matrix[2, 1], matrix[2, 2], matrix[2, 3]
-    valid, bound = np.uint64(_VALID_BITS << 48), np.uint64(_BOUND_BITS << 48)
+    valid, bound = np.uint64(VALID_BITS << 48), np.uint64(LOWER_BOUND_BITS << 48)
     for index in range(out.shape[0]):
         r = max(m00 * red[index] + m01 * green[index] + m02 * blue[index] + m03, zero)
         g = max(m10 * red[index] + m11 * green[index] + m12 * blue[index] + m13, zero)
@@ -123,7 +122,7 @@ def _mark_row(
     Green samples take colours from the four nearest samples, colour samples from all eight; beyond the edges the picture is mirrored.
     """
     width = words.shape[0]
-    clear, bound = np.uint64((1 << 48) - 1), np.uint64(_BOUND_BITS << 48)
+    clear, bound = np.uint64((1 << 48) - 1), np.uint64(LOWER_BOUND_BITS << 48)
     for column in range(width):
         left, right = abs(column - 1), min(column + 1, 2 * width - 3 - column)
         found = here[column] | here[left] | here[right] | above[column] | below[column]
@@ -137,7 +136,7 @@ def _mark_row(
 def _count_bounds(words: NDArray[np.uint64]) -> int:
     count = np.int64(0)
     for index in range(words.shape[0]):
-        count += np.int64(words[index] >> np.uint64(48) == np.uint64(_BOUND_BITS))
+        count += np.int64(words[index] >> np.uint64(48) == np.uint64(LOWER_BOUND_BITS))
     return int(count)
 
 
@@ -242,7 +241,7 @@ def _develop_plain(
     bounds = np.empty(width * channels, np.uint8)
     planes = np.empty((channels, width), np.float32)
     green, blue = (1, 2) if channels == 3 else (0, 0)
-    clear, bound = np.uint64((1 << 48) - 1), np.uint64(_BOUND_BITS << 48)
+    clear, bound = np.uint64((1 << 48) - 1), np.uint64(LOWER_BOUND_BITS << 48)
     count = np.int64(0)
     for row in range(height):
         found = _measured_row(
