@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import re
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from nearfield_calibration.models import FisheyeIntrinsics
 from nearfield_server.errors import ConfigError
+from nearfield_server.scene.toml_text import toml_value
 
 SourceValue = str | int | float
 
@@ -41,18 +41,6 @@ class PlannedCamera:
     remarks: tuple[str, ...] = ()
 
 
-def toml_string(text: str) -> str:
-    """A TOML basic string that means exactly `text`."""
-    escaped = text.replace("\\", "\\\\").replace('"', '\\"')
-    return '"' + re.sub(r"[\x00-\x1f\x7f]", lambda found: f"\\u{ord(found[0]):04x}", escaped) + '"'
-
-
-def _value(value: SourceValue) -> str:
-    if isinstance(value, str):
-        return toml_string(value)
-    return repr(float(value)) if isinstance(value, float) else str(value)
-
-
 def _comment(text: str) -> str:
     return "# " + "".join(character if character.isprintable() else " " for character in text)
 
@@ -72,12 +60,12 @@ def camera_text(camera: PlannedCamera) -> str:
     lines = [
         "[[cameras]]",
         *(_comment(remark) for remark in camera.remarks),
-        f"id = {toml_string(camera.camera_id)}",
+        f"id = {toml_value(camera.camera_id)}",
         *(_comment(line) for line in _NOT_CALIBRATED),
-        *(f"{key} = {_value(number)}" for key, number in numbers.items()),
+        *(f"{key} = {toml_value(number)}" for key, number in numbers.items()),
         "world_from_camera = [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]]",
         "[cameras.source]",
-        *(f"{key} = {_value(value)}" for key, value in camera.source.items()),
+        *(f"{key} = {toml_value(value)}" for key, value in camera.source.items()),
     ]
     return "\n".join(lines) + "\n"
 
@@ -92,7 +80,7 @@ def new_room_text(name: str, model: str, frame_rate: float, cameras: Sequence[Pl
         cameras: at least one.
     """
     header = _HEADER.format(
-        name=toml_string(name), model=toml_string(model), frame_rate=_value(float(frame_rate))
+        name=toml_value(name), model=toml_value(model), frame_rate=toml_value(float(frame_rate))
     )
     return "\n".join([header, *(camera_text(camera) for camera in cameras)])
 

@@ -11,8 +11,8 @@ from typing import Any, Final
 
 from nearfield_server.bus.messages import ControlState
 from nearfield_server.recording.files.manifest import write_atomically
-from nearfield_server.recording.toml_text import toml_document
 from nearfield_server.scene.room_config import ROOM_FILE, ObjectConfig, RoomConfig
+from nearfield_server.scene.toml_text import toml_document
 
 FILES_FOLDER: Final = "room"
 _UNSAFE: Final = re.compile(r"[^A-Za-z0-9_.-]")

@@ -18,9 +18,9 @@ from nearfield_server.errors import ServiceError
 from nearfield_server.recording.files.manifest import calibration_id, read_manifest
 from nearfield_server.recording.folder import begin_take, check_target
 from nearfield_server.recording.snapshot import resolve_room, safe_names, write_snapshot
-from nearfield_server.recording.toml_text import toml_document
 from nearfield_server.scene.room_config import load_room
 from nearfield_server.scene.room_model import load_room_mesh
+from nearfield_server.scene.toml_text import toml_document
 
 TINY = Path(__file__).parents[2] / "data" / "tiny_room"
 _TEXT = st.text(st.characters(exclude_categories=["Cs"]), max_size=12)
