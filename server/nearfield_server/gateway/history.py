@@ -25,7 +25,7 @@ LIGHT_SERIES: Final = ("age_s", "updates", "clients")
 
 @dataclass(slots=True)
 class StatusHistory:
-    """One sample a second, the newest `LENGTH` of them. `sample` and `as_json` may be called from different threads.
+    """One sample a second, the newest `LENGTH` of them. One thread calls `sample`, any may call `as_json`.
 
     Counters ("frames_lost", "frames_broken", "updates") are kept as they are, so that nothing is lost between two samples; whoever draws
     them takes differences.
@@ -36,23 +36,27 @@ class StatusHistory:
     )
     _lock: threading.Lock = field(default_factory=threading.Lock)
 
+    def is_due(self, now_s: float) -> bool:
+        """Whether a sample at a monotonic time would be taken."""
+        with self._lock:
+            return not self._samples or now_s - self._samples[-1][0] >= 0.9 * PERIOD_S
+
     def sample(self, now_s: float, statuses: Mapping[str, Mapping[str, Any]], num_clients: int) -> None:
         """Take a sample at a monotonic time; calls that come before a period is over are ignored."""
+        if not self.is_due(now_s):
+            return
+        illumination = statuses.get("illumination", {})
+        light = {
+            "age_s": illumination.get("light_age_s"),
+            "updates": illumination.get("updates"),
+            "clients": num_clients,
+        }
+        cameras = {
+            entry["id"]: {name: entry[name] for name in CAMERA_SERIES}
+            for entry in summarise_cameras(statuses)
+        }
         with self._lock:
-            if self._samples and now_s - self._samples[-1][0] < 0.9 * PERIOD_S:
-                return
-            illumination = statuses.get("illumination", {})
-            light = {
-                "age_s": illumination.get("light_age_s"),
-                "updates": illumination.get("updates"),
-                "clients": num_clients,
-            }
-            cameras = {entry["id"]: entry for entry in summarise_cameras(statuses)}
-            kept = {
-                camera_id: {name: entry[name] for name in CAMERA_SERIES}
-                for camera_id, entry in cameras.items()
-            }
-            self._samples.append((now_s, light, kept))
+            self._samples.append((now_s, light, cameras))
 
     def as_json(self, now_s: float) -> dict[str, Any]:
         """Columns, oldest first: `ago_s` (n,), `light` {series: (n,)}, `cameras` {id: {series: (n,)}}; null where nothing was known."""

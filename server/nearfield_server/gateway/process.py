@@ -74,7 +74,8 @@ async def run_gateway(worker: Worker, scene: ServedScene, hub: LightHub, link: B
                 announced = True
                 sys.stdout.write(describe_address(port, lan=lan))
                 sys.stdout.flush()
-            history.sample(time.monotonic(), link.statuses(), hub.num_clients)
+            if history.is_due(now_s := time.monotonic()):
+                history.sample(now_s, link.statuses(), hub.num_clients)
             await asyncio.sleep(_BEAT_PERIOD_S)
         stop.set()
 
