@@ -17,18 +17,21 @@ _LIMIT_PERIODS: Final = 5.0
 _SLICE_S: Final = 0.1
 
 
-def silence_limit_s(period_s: float, exposure_s: float) -> float:
+def silence_limit_s(period_s: float, exposure_s: float = 0.0, least_periods: float = 2.0) -> float:
     """Return after which time without a picture a device counts as silent.
 
     Args:
         period_s: between two pictures.
         exposure_s: the longest exposure; pictures cannot come faster.
+        least_periods: it is never less than so many periods or exposures.
 
     Returns:
-        Five periods, at least 0.5 s and at most 1.5 s; but never less than two periods or exposures.
+        Five periods, at least 0.5 s and at most 1.5 s; but never less than `least_periods`.
     """
     slowest_s = max(period_s, exposure_s)
-    return max(min(max(_LIMIT_PERIODS * period_s, _LEAST_LIMIT_S), _GREATEST_LIMIT_S), 2.0 * slowest_s)
+    return max(
+        min(max(_LIMIT_PERIODS * period_s, _LEAST_LIMIT_S), _GREATEST_LIMIT_S), least_periods * slowest_s
+    )
 
 
 class FrameStream:

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from nearfield_server.capture.frame_metadata import parse_metadata
+from nearfield_server.capture.frame_stream import silence_limit_s
 from nearfield_server.capture.remote.clock_exchange import ClockExchange
 from nearfield_server.capture.remote.links import RemoteLink, local_config
 from nearfield_server.capture.remote.messages import Answer, FrameHeader, Wish, largest_frame_bytes
@@ -21,6 +22,7 @@ _WISH_PERIOD_S = 0.25
 _FIRST_WISH_PERIOD_S = 0.05
 _ANSWERS_ON_S = 0.15
 _WAIT_S = 0.1
+_LEAST_PERIODS = 2.5
 # What is passed on to the status page of the fields with which the camera describes itself on its node.
 _PASSED_ON = (
     "model",
@@ -59,11 +61,6 @@ class RemoteCamera:
     width: int
     frame_rate: float
     gate_port: int
-
-
-def silence_limit_s(period_s: float) -> float:
-    """How long a camera may say nothing: five periods, but at least 0.5 s and at most 1.5 s; never less than two and a half periods."""
-    return max(min(max(0.5, 5.0 * period_s), 1.5), 2.5 * period_s)
 
 
 class RemoteSource:
@@ -202,7 +199,7 @@ class RemoteSource:
     def _check_silence(self, now_ns: int) -> None:
         since_ns = max(self._watch_from_ns, self._fresh_ns or 0)
         silent_s = (now_ns - since_ns) * 1e-9
-        if silent_s > silence_limit_s(self._period_s):
+        if silent_s > silence_limit_s(self._period_s, least_periods=_LEAST_PERIODS):
             raise AwayError(self.why_silent(now_ns))
 
     def why_silent(self, now_ns: int) -> str:
