@@ -55,7 +55,12 @@ def load_timeline(room: RoomConfig, name: str) -> Timeline:
     return Timeline(weights=sequences[name].weights, frame_rate=sequences[name].fps)
 
 
-def make_source(room: RoomConfig, camera_index: int, options: dict[str, Any]) -> Source:
+def make_source(
+    room: RoomConfig,
+    camera_index: int,
+    options: dict[str, Any],
+    circle: NDArray[np.bool_] | None = None,
+) -> Source:
     """Build the source of one camera of a room; `open()` is left to the caller.
 
     Args:
@@ -63,15 +68,16 @@ def make_source(room: RoomConfig, camera_index: int, options: dict[str, Any]) ->
         camera_index: position of the camera in it.
         options: `timeline` (name of a lighting sequence) and `sensor` (fields of `SensorModel`), for simulated cameras; `gate_port` for
             cameras of other machines; `replay` (`speed`, `loop`, and `origin_ns`, see `RecordedCamera`), for recorded ones.
+        circle: `image_circle` of the camera, for brackets chosen from the picture; None = everywhere.
 
     Raises:
         ConfigError: an option does not fit the room.
     """
-    camera, source = room.cameras[camera_index], room.sources[camera_index]
+    camera = room.cameras[camera_index]
     plan = SourcePlan(
         camera_id=camera.camera_id,
         camera_index=camera_index,
-        config=source,
+        config=room.sources[camera_index],
         height=camera.intrinsics.height,
         width=camera.intrinsics.width,
         frame_rate=room.frame_rate,
@@ -79,9 +85,7 @@ def make_source(room: RoomConfig, camera_index: int, options: dict[str, Any]) ->
         timeline=load_timeline(room, options["timeline"]) if options.get("timeline") else None,
         sensor=options.get("sensor"),
         room_name=room.name,
-        circle=image_circle(camera.intrinsics)
-        if isinstance(source, AravisSourceTable | V4l2SourceTable)
-        else None,
+        circle=circle,
         gate_port=int(options.get("gate_port", 0)),
         replay=options.get("replay") or {},
     )

@@ -53,11 +53,6 @@ class Darkroom:
         self._asked, self._gain = 0, 1.0
         self.pixel_format = ""
 
-    @property
-    def warnings(self) -> list[str]:
-        """What a user should know, in words."""
-        return []
-
     def develop(self, frame: SensorFrame, exposure: Exposure, out: NDArray[np.float16]) -> int:
         """Write the radiance of one picture to `out` (H, W, 4); returns the number of pixels that are only lower bounds.
 

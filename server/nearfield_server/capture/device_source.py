@@ -65,10 +65,6 @@ class PictureMaker(Protocol):
     def pixel_format(self) -> str:
         """Of the last picture; empty before the first one."""
 
-    @property
-    def warnings(self) -> list[str]:
-        """What a user should know, in words."""
-
     def develop(self, frame: SensorFrame, exposure: Exposure, out: NDArray[np.float16]) -> int:
         """Write the radiance of one picture to `out` (H, W, 4); returns the number of saturated pixels."""
 
@@ -448,7 +444,7 @@ class DeviceSource:
         recent = [
             words for words, since_ns in self._warnings.values() if now_ns - since_ns < _WARNED_FOR_S * 1e9
         ]
-        return [*from_device, *from_bracketing, *self._darkroom.warnings, *recent]
+        return [*from_device, *from_bracketing, *recent]
 
 
 def pictures_per_second(table: DeviceSourceTable, frame_rate: float) -> float:

@@ -224,13 +224,13 @@ def main(worker: Worker) -> None:
         return state.started_ns or None if state is not None else None
 
     replay = {**(worker.spec.options.get("replay") or {}), "origin_ns": origin_ns}
-    source = make_source(room, camera_index, {**worker.spec.options, "replay": replay})
-    with_circle = image_circle(camera.intrinsics)
+    circle = image_circle(camera.intrinsics)
+    source = make_source(room, camera_index, {**worker.spec.options, "replay": replay}, circle)
     ring = FrameRingWriter(worker.spec.ring_fds[camera_index], camera.camera_id, shape)
     tolerance = room.change_tolerances[camera_index]
-    pump = FramePump(source, ring, FrameSignal(worker.spec.signal_fd), with_circle, tolerance)
+    pump = FramePump(source, ring, FrameSignal(worker.spec.signal_fd), circle, tolerance)
     readable = FrameRingReader(worker.spec.ring_fds[camera_index], camera.camera_id, shape)
-    worker.bus.answer_question(preview_key(worker.spec.process), PreviewPainter(readable, with_circle).answer)
+    worker.bus.answer_question(preview_key(worker.spec.process), PreviewPainter(readable, circle).answer)
     compile_kernels()
     worker.wait_for_control(20.0)
     frame_rate = float(worker.spec.options.get("frame_rate") or room.frame_rate)
