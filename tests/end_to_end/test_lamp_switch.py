@@ -11,6 +11,7 @@ import pytest
 from numpy.typing import NDArray
 from tests.service.harness import TINY_ROOM, Service
 
+from nearfield_protocol.codec import LightPacket
 from nearfield_server.evaluation.browser import decode_picture, find_browser
 from nearfield_server.evaluation.view_truth import bundle_exposure, emitter_faces, judge_view, load_view_truth
 from nearfield_server.radiometry.image_metrics import average_2x2
@@ -82,27 +83,25 @@ def errors(picture: NDArray[np.float64], weights: list[float]) -> dict[str, Any]
 
 def switch(page: Any, service: Service, lamp: int, weight: float) -> None:
     """Use the lamp's switch in the page and wait until the light of the room has followed."""
-    before = page.evaluate("() => window.nearfield.state().sequence")
+    before = service.picture_times()
     page.evaluate("([lamp, weight]) => window.nearfield.setLightWeight(lamp, weight)", [lamp, weight])
     page.wait_for_function(
         "([lamp, weight]) => window.nearfield.state().weights[lamp] === weight", arg=[lamp, weight]
     )
-    page.wait_for_function("(before) => window.nearfield.state().sequence > before", arg=before)
-    # Cameras deliver the change one after the other: the light is settled when two packets in a row are alike.
-    settled = service.newest_packet()
-    while True:
-        page.wait_for_timeout(1500)
-        newest = service.newest_packet()
-        if np.array_equal(newest.object_sh, settled.object_sh) and np.array_equal(newest.vals, settled.vals):
-            break
-        settled = newest
+    # Cameras deliver the change one after the other.
+    show(page, service.settle(before))
+
+
+def show(page: Any, light: LightPacket) -> None:
+    """Wait until the page has this light or a newer one."""
     page.wait_for_function(
-        "(sequence) => window.nearfield.state().sequence >= sequence", arg=int(settled.sequence)
+        "(sequence) => window.nearfield.state().sequence >= sequence", arg=int(light.sequence)
     )
 
 
 def test_the_picture_follows_the_lamp_and_agrees_with_truth(page: Any, service: Service) -> None:
     both_on, one_on = [1.0, 1.0], [0.0, 1.0]
+    show(page, service.settle())
     first = composite(page)
     switch(page, service, 0, 0.0)
     second = composite(page)

@@ -103,6 +103,31 @@ class Service:
         with self._changed:
             return self._packets[-1][1]
 
+    def picture_times(self) -> list[float]:
+        """When the pictures that the light is made of were taken, per camera, in seconds of the illumination process's life.
+
+        A still picture keeps its time, so a later time is a new picture. Waits until every camera has delivered one.
+        """
+
+        def taken() -> list[float] | None:
+            status = self._statuses.get("illumination", {})
+            ages = [camera["picture_age_s"] for camera in status.get("cameras", [])]
+            return [status["uptime_s"] - age for age in ages] if ages and None not in ages else None
+
+        times: list[float] = self.wait("a picture of every camera", taken)
+        return times
+
+    def settle(self, since: list[float] | None = None) -> LightPacket:
+        """Wait until the light is made of pictures of all cameras, newer ones than `picture_times` gave if told so; return that light."""
+        if since is not None:
+            self.wait(
+                "a new picture of every camera",
+                lambda: all(new > old + 0.02 for new, old in zip(self.picture_times(), since, strict=True)),
+            )
+        # The update of the last picture may still run; packets are repeated every second.
+        self.packet_after(time.monotonic())
+        return self.packet_after(time.monotonic())[1]
+
     def request(self, message: ClientMessage) -> None:
         """Send what a gateway would send for a client."""
         self.bus.put(CONTROL_REQUEST, encode_client_message(message), must_arrive=True)
