@@ -51,7 +51,7 @@ class Backlog:
         self._closed = False
 
     def buffer(self, shape: tuple[int, int, int]) -> NDArray[np.float16]:
-        """Memory for a frame: used again, because fresh pages cost as much as the copy."""
+        """Memory for a frame: used again, because fresh pages cost more than the copy."""
         with self._changed:
             spare = self._spare.get(shape)
             if spare:
@@ -59,11 +59,9 @@ class Backlog:
         return np.empty(shape, np.float16)
 
     def done(self, pixels: NDArray[np.float16]) -> None:
-        """Take memory back."""
+        """Take memory back; it is kept, so that a queue that has once been long need not be paid for again."""
         with self._changed:
-            spare = self._spare.setdefault(pixels.shape, [])
-            if len(spare) < 8:
-                spare.append(pixels)
+            self._spare.setdefault(pixels.shape, []).append(pixels)
 
     def push(self, frame: WaitingFrame) -> bool:
         """Add a frame; false if it was dropped, and its memory is taken back then."""
@@ -164,9 +162,7 @@ class Backlog:
             self.dropped_used += 1
         else:
             self._remember_lost(frame.camera, frame.info.sequence)
-        spare = self._spare.setdefault(frame.pixels.shape, [])
-        if len(spare) < 8:
-            spare.append(frame.pixels)
+        self._spare.setdefault(frame.pixels.shape, []).append(frame.pixels)
 
     def _remember_lost(self, camera: int, sequence: int) -> None:
         lost = self._lost[camera]

@@ -25,20 +25,21 @@ from nearfield_server.recording.files.light_log import LIGHT_FILE, line_of
 from nearfield_server.recording.files.manifest import Manifest, TakeEntry, write_manifest
 from nearfield_server.recording.files.raw_store import RawWriter
 from nearfield_server.recording.folder import begin_take, camera_entries
+from nearfield_server.recording.heap import keep_freed_memory
 from nearfield_server.recording.light_link import LightLink
 from nearfield_server.recording.recorder import SYNC_PERIOD_S, FrameWriter, Recorder
 from nearfield_server.recording.snapshot import resolve_room, write_snapshot
 from nearfield_server.recording.space import SpaceGuard
 from nearfield_server.scene.room_config import ROOM_FILE, load_room
 
-_POLL_S: Final = 0.003
+_POLL_S: Final = 0.01
 _TEND_S: Final = 0.02
 _STATUS_S: Final = 0.2
 _PATIENCE_S: Final = 3.0
 """When the service ends: time for what waits to be written."""
 _FINISH_PATIENCE_S: Final = 120.0
 """When only the recording ends."""
-_QUEUE_BYTES: Final = 512_000_000
+_QUEUE_BYTES: Final = 2_000_000_000
 _QUEUE_SHARE: Final = 0.25
 """Most of the free memory that waiting frames may take."""
 
@@ -217,6 +218,7 @@ def make_writer(folder: Path, manifest: Manifest, take: int) -> FrameWriter:
 
 def main(worker: Worker) -> None:
     """Prepare the folder, then record until told to stop."""
+    keep_freed_memory()
     finish = threading.Event()
     worker.bus.subscribe(RECORDING_FINISH, lambda *_: finish.set())
     options = worker.spec.options

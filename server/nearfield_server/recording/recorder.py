@@ -1,4 +1,7 @@
-"""Rings to disk: one thread copies frames out of the rings at once, others compress and write them at their own pace."""
+"""Rings to disk: one thread copies frames out of the rings at once, others compress and write them at their own pace.
+
+One more thread waits for the disk.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +33,7 @@ class FrameWriter(Protocol):
         """Write a frame and return its bytes; frames of one camera come from one thread and in order."""
 
     def sync(self) -> None:
-        """Wait until the disk has everything."""
+        """Wait until the disk has everything written so far, while other threads write."""
 
     def close(self) -> None:
         """Sync and close."""
@@ -78,7 +81,8 @@ class Recorder:
         self._written = [0] * len(readers)
         self._bytes = 0
         self._rate = WriteRate()
-        self._synced_s = time.monotonic()
+        self._ended = threading.Event()
+        self._syncer = threading.Thread(target=self._sync_frames, name="syncer", daemon=True)
         self._workers = [
             threading.Thread(
                 target=self._write_frames,
@@ -88,7 +92,7 @@ class Recorder:
             )
             for first in range(min(num_workers, len(readers)))
         ]
-        for worker in self._workers:
+        for worker in (*self._workers, self._syncer):
             worker.start()
 
     def poll(self) -> int:
@@ -160,6 +164,8 @@ class Recorder:
         self._backlog.clear()
         for worker in self._workers:
             worker.join()
+        self._ended.set()
+        self._syncer.join()
         try:
             self._writer.close()
         except OSError as error:
@@ -233,8 +239,11 @@ class Recorder:
             self._written[frame.camera] += 1
             self._bytes += size
             self._rate.add(now_s, size)
-            is_due = now_s - self._synced_s >= SYNC_PERIOD_S
-            if is_due:
-                self._synced_s = now_s
-        if is_due:
-            self._writer.sync()
+
+    def _sync_frames(self) -> None:
+        # Apart from the writers: the disk may take seconds over what has gathered, and frames go on coming.
+        while not self._ended.wait(SYNC_PERIOD_S):
+            try:
+                self._writer.sync()
+            except OSError as error:
+                self._stop(describe_disk_fault(error))

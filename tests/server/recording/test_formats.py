@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import json
 import os
 import random
 import shutil
 import struct
+import threading
 from collections.abc import Callable
 from pathlib import Path
 
@@ -24,7 +26,7 @@ from nearfield_server.recording.export import export_exr, verify_frames
 from nearfield_server.recording.files.exr_store import ExrWriter
 from nearfield_server.recording.files.library import open_recording
 from nearfield_server.recording.files.manifest import Kind
-from nearfield_server.recording.files.raw_store import RawWriter
+from nearfield_server.recording.files.raw_store import RawWriter, find_raw_frames
 
 BOTH = pytest.mark.parametrize("kind", ["exr", "raw"])
 MakeRecording = Callable[..., Path]
@@ -92,6 +94,64 @@ def test_the_library_of_mcap_reads_the_segments(make_recording: MakeRecording) -
     assert [message.log_time for topic, message in found if topic == "left/pixels"] == [
         int(fields["timestamp_ns"]) for fields in facts
     ]
+
+
+def test_frames_go_into_segments_while_the_disk_is_waited_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    waits, may_return, descriptors = threading.Event(), threading.Event(), []
+
+    def hang(fd: int) -> None:
+        descriptors.append(os.readlink(f"/proc/self/fd/{fd}"))
+        waits.set()
+        assert may_return.wait(60)
+
+    writer = RawWriter(tmp_path, CAMERAS, 1, segment_bytes=1500)
+    writer.write(0, info(1, 1), picture(1))
+    with monkeypatch.context() as patched:
+        patched.setattr(os, "fdatasync", hang)
+        syncer = threading.Thread(target=writer.sync)
+        syncer.start()
+        assert waits.wait(60)
+        for number in range(2, 6):  # past the end of the segment that the disk still has in hand
+            writer.write(0, info(number, number), picture(number))
+        may_return.set()
+        syncer.join()
+        writer.close()
+    paths = sorted(str(path) for path in (tmp_path / "segments").iterdir())
+    assert len(paths) > 2
+    assert sorted(set(descriptors)) == paths
+    found = find_raw_frames(tmp_path, CAMERAS, [])
+    assert [frame.info.sequence for frame in found[0]] == [1, 2, 3, 4, 5]
+
+
+def test_a_segment_that_the_disk_refuses_is_waited_for_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(_fd: int) -> None:
+        raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+    writer = RawWriter(tmp_path, CAMERAS, 1, segment_bytes=100)
+    for number in (1, 2, 3):
+        writer.write(0, info(number, number), picture(number))
+    with monkeypatch.context() as patched:
+        patched.setattr(os, "fdatasync", refuse)
+        with pytest.raises(OSError, match="Input/output"):
+            writer.sync()
+    synced: list[int] = []
+    with monkeypatch.context() as patched:
+        patched.setattr(os, "fdatasync", synced.append)
+        writer.close()
+    assert len(synced) == len(list((tmp_path / "segments").iterdir())) == 3
+
+
+def test_pixels_in_an_unknown_encoding_are_refused_in_words(make_recording: MakeRecording) -> None:
+    folder = make_recording("raw")
+    [path] = (folder / "segments").iterdir()
+    path.write_bytes(path.read_bytes().replace(b"nearfield.half4+blosc", b"nearfield.half4+later"))
+    recording = open_recording(folder)
+    assert recording.num_frames == 0
+    assert "'nearfield.half4+later', expected 'nearfield.half4+blosc'" in recording.problems[0]
 
 
 def test_segments_end_by_size_and_time_and_join_without_a_seam(

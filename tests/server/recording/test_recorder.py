@@ -38,7 +38,11 @@ class MemoryWriter:
         self.frames: list[tuple[int, FrameInfo, np.ndarray]] = []
         self.gate = threading.Event()
         self.gate.set()
+        self.sync_gate = threading.Event()
+        self.sync_gate.set()
+        self.syncs = 0
         self.fault: OSError | None = None
+        self.sync_fault: OSError | None = None
         self.closed = False
 
     def write(self, camera: int, info: FrameInfo, pixels: np.ndarray) -> int:
@@ -49,7 +53,10 @@ class MemoryWriter:
         return pixels.nbytes
 
     def sync(self) -> None:
-        """Nothing to do."""
+        self.syncs += 1
+        assert self.sync_gate.wait(60)
+        if self.sync_fault:
+            raise self.sync_fault
 
     def close(self) -> None:
         self.closed = True
@@ -92,6 +99,7 @@ def bench() -> Iterator[Bench]:
     bench = Bench()
     yield bench
     bench.writer.gate.set()
+    bench.writer.sync_gate.set()
     if bench.recorder is not None:
         bench.recorder.close()
     for fd in bench.fds:
@@ -145,6 +153,32 @@ def test_a_slow_disk_costs_frames_that_are_counted_and_never_holds_up_the_copyin
     bench.writer.gate.set()
     bench.wait(lambda: recorder.frames_written == 10 - status["frames_dropped"])
     assert bench.values(0)[:3] == [1, 2, 3]
+
+
+def test_frames_are_written_while_the_disk_is_waited_for(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("nearfield_server.recording.recorder.SYNC_PERIOD_S", 0.01)
+    bench.writer.sync_gate.clear()
+    recorder = bench.start()
+    bench.wait(lambda: bench.writer.syncs == 1)
+    for value in range(1, 5):
+        bench.picture(0, value)
+        recorder.poll()
+    bench.wait(lambda: recorder.frames_written == 4)
+    assert bench.writer.syncs == 1
+    bench.writer.sync_gate.set()
+    bench.wait(lambda: bench.writer.syncs > 2)
+
+
+def test_a_disk_that_fails_later_ends_the_recording_in_words(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("nearfield_server.recording.recorder.SYNC_PERIOD_S", 0.01)
+    bench.writer.sync_fault = OSError(errno.EIO, "Input/output error")
+    recorder = bench.start()
+    bench.wait(lambda: bool(recorder.fault))
+    assert "refuses to write (Input/output error)" in recorder.fault
 
 
 @pytest.mark.parametrize(

@@ -14,9 +14,9 @@ from nearfield_server.capture.fence import full_fence
 from nearfield_server.capture.frame_ring import FrameRingReader, FrameRingWriter
 from nearfield_server.capture.ring_memory import RingShape, create_ring
 from nearfield_server.recording.backlog import Backlog
-from nearfield_server.recording.files.byte_planes import join_planes, pack_picture, split_planes
 from nearfield_server.recording.files.json_lines import LineWriter
 from nearfield_server.recording.files.light_log import LIGHT_FILE, LightBegin, LightStep, line_of
+from nearfield_server.recording.files.packed_picture import pack_picture
 from nearfield_server.recording.folder import begin_take, camera_entries
 from nearfield_server.recording.process import make_writer
 from nearfield_server.recording.recorder import Recorder
@@ -89,9 +89,7 @@ def record(folder: Path, kind: str, seconds: float = 1e9, reserve_bytes: int | N
 def zygote() -> None:
     """Fork a recorder for each line `kind folder` on standard input, and print its process id; imports cost their time once."""
     full_fence()
-    pixels = pattern(0, 1)
-    pack_picture(pixels)
-    join_planes(split_planes(pixels), SIDE, SIDE)
+    pack_picture(pattern(0, 1))
     for line in sys.stdin:
         kind, folder = line.split()
         pid = os.fork()

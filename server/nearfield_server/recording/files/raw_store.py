@@ -1,8 +1,8 @@
 """Recorded frames in MCAP containers: cheap enough for full rate on a small machine.
 
-Each frame is two messages of one time and sequence: `<camera>/info` (JSON, as in the other format) and `<camera>/pixels` (zstd of the
-byte planes of the half floats, see `byte_planes`). Messages are not chunked: what was handed to the kernel is there, whatever happens
-to the recorder. A segment ends after a minute or a gigabyte, and the disk has all of it then. A cut segment is read up to the cut.
+Each frame is two messages of one time and sequence: `<camera>/info` (JSON, as in the other format) and `<camera>/pixels` (see
+`packed_picture`). Messages are not chunked: what was handed to the kernel is there, whatever happens to the recorder. A segment ends
+after a minute or a gigabyte. A cut segment is read up to the cut.
 """
 
 from __future__ import annotations
@@ -22,18 +22,18 @@ from mcap.writer import CompressionType, IndexType, Writer
 from numpy.typing import NDArray
 
 from nearfield_server.errors import AssetError
-from nearfield_server.recording.files.byte_planes import pack_picture, unpack_picture
 from nearfield_server.recording.files.frame_info import MAX_INFO_BYTES, FrameInfo, info_from_json
 from nearfield_server.recording.files.manifest import CameraEntry
+from nearfield_server.recording.files.packed_picture import (
+    PIXEL_ENCODING,
+    PIXEL_SCHEMA,
+    pack_picture,
+    unpack_picture,
+)
 
 SEGMENTS_FOLDER: Final = "segments"
 SEGMENT_BYTES: Final = 1_000_000_000
 SEGMENT_SECONDS: Final = 60.0
-PIXEL_ENCODING: Final = "nearfield.halfplanes+zstd"
-PIXEL_SCHEMA: Final = (
-    "zstd of 8 byte planes of height * width bytes each: plane 2c holds the low bytes of channel c (red, green, blue, alpha) of "
-    "little-endian half floats, plane 2c + 1 the high bytes; rows from the top. Alpha: 1 valid, 0 unknown, 0x3BFF lower bound."
-)
 _MAGIC: Final = b"\x89MCAP0\r\n"
 _RECORD: Final = struct.Struct("<BQ")
 _MESSAGE: Final = struct.Struct("<HIQQ")
@@ -57,11 +57,13 @@ class _Segment:
     def __init__(self, path: Path, cameras: tuple[CameraEntry, ...], now_s: float) -> None:
         self.started_s = now_s
         self._file = path.open("xb", buffering=0)
+        self._output = _AllOrNothing(self._file)
         self._writer = Writer(
-            _AllOrNothing(self._file),  # type: ignore[arg-type]
+            self._output,  # type: ignore[arg-type]
             compression=CompressionType.NONE,
             index_types=IndexType.NONE,
             use_chunking=False,
+            use_statistics=False,
         )
         self._writer.start(profile="", library="nearfield")
         info_schema = self._writer.register_schema("nearfield.FrameInfo", "jsonschema", b'{"type":"object"}')
@@ -81,17 +83,28 @@ class _Segment:
                     ),
                 )
             )
+        # It also hands the lines above to the kernel: messages go there past the library.
+        self._writer.add_metadata("nearfield", {"cameras": str(len(cameras))})
 
     @property
     def size(self) -> int:
         return self._file.tell()
 
-    def add(self, camera: int, info: FrameInfo, packed: bytes) -> int:
+    def add(self, camera: int, info: FrameInfo, packed: tuple[bytes, bytes]) -> int:
+        checksum, body = packed
+        text = info.to_json().encode()
+        times = (info.sequence & 0xFFFFFFFF, info.timestamp_ns, info.timestamp_ns)
+        info_channel, pixel_channel = self._channels[camera]
         start = self.size
-        sequence = info.sequence & 0xFFFFFFFF
         try:
-            for channel, data in zip(self._channels[camera], (info.to_json().encode(), packed), strict=True):
-                self._writer.add_message(channel, info.timestamp_ns, data, info.timestamp_ns, sequence)
+            # Past the library, which would copy each picture three times, and keep every other thread waiting meanwhile.
+            self._output.write(
+                _message_head(info_channel, times, len(text))
+                + text
+                + _message_head(pixel_channel, times, len(checksum) + len(body))
+                + checksum
+            )
+            self._output.write(body)
         except OSError:
             # Nothing may stand behind half a record: it would be taken for its end.
             self._file.truncate(start)
@@ -99,16 +112,24 @@ class _Segment:
             raise
         return self.size - start
 
-    def sync(self) -> None:
-        os.fdatasync(self._file.fileno())
-
     def finish(self) -> None:
-        try:
-            with contextlib.suppress(OSError):  # a segment without its last lines is as good
-                self._writer.finish()  # type: ignore[no-untyped-call]
-            self.sync()
-        finally:
-            self._file.close()
+        """Write the last lines."""
+        with contextlib.suppress(OSError):  # a segment without them is as good
+            self._writer.finish()  # type: ignore[no-untyped-call]
+
+    def sync(self) -> None:
+        """Wait for the disk; others may `add` meanwhile."""
+        os.fdatasync(self._file.fileno())
+        # Nobody reads this soon: the memory serves what comes next, instead of all other files that the machine holds ready.
+        os.posix_fadvise(self._file.fileno(), 0, 0, os.POSIX_FADV_DONTNEED)
+
+    def close(self) -> None:
+        self._file.close()
+
+
+def _message_head(channel: int, times: tuple[int, int, int], size: int) -> bytes:
+    """What stands before the `size` bytes of a message; `times`: its sequence, and when it was logged and published in nanoseconds."""
+    return _RECORD.pack(Opcode.MESSAGE, _MESSAGE.size + size) + _MESSAGE.pack(channel, *times)
 
 
 class _AllOrNothing:
@@ -150,39 +171,62 @@ class RawWriter:
         self._segment_bytes, self._segment_s = segment_bytes, segment_s
         self._folder.mkdir(parents=True, exist_ok=True)
         self._lock = threading.Lock()
+        self._sync_lock = threading.Lock()
         self._number = 0
         self._segment: _Segment | None = None
+        self._ended: list[_Segment] = []
 
     def write(self, camera: int, info: FrameInfo, pixels: NDArray[np.float16]) -> int:
         """Write a frame (H, W, 4) and return its bytes on disk."""
         packed = pack_picture(pixels)
+        now_s = info.timestamp_ns * 1e-9
         with self._lock:
             segment = self._segment
             if segment is not None and (
-                segment.size >= self._segment_bytes
-                or info.timestamp_ns * 1e-9 - segment.started_s >= self._segment_s
+                segment.size >= self._segment_bytes or now_s - segment.started_s >= self._segment_s
             ):
-                self._segment = None
-                segment.finish()
+                self._end_segment()
                 segment = None
             if segment is None:
                 self._number += 1
                 path = self._folder / f"{self._take:04d}_{self._number:05d}.mcap"
-                segment = self._segment = _Segment(path, self._cameras, info.timestamp_ns * 1e-9)
+                segment = self._segment = _Segment(path, self._cameras, now_s)
             return segment.add(camera, info, packed)
 
     def sync(self) -> None:
-        """Wait until the disk has everything written so far."""
-        with self._lock:
-            if self._segment is not None:
-                self._segment.sync()
+        """Wait until the disk has everything written so far; others may write meanwhile."""
+        with self._sync_lock:
+            with self._lock:
+                ended, self._ended = self._ended, []
+                segment = self._segment
+            try:
+                while ended:
+                    ended[0].sync()
+                    ended.pop(0).close()
+            finally:
+                with self._lock:
+                    self._ended = ended + self._ended
+            # Only `sync` closes segments, so this one is open even if it has ended by now.
+            if segment is not None:
+                segment.sync()
 
     def close(self) -> None:
-        """End the segment; may be called twice."""
+        """End the segment and sync; may be called twice."""
         with self._lock:
-            segment, self._segment = self._segment, None
-            if segment is not None:
-                segment.finish()
+            self._end_segment()
+        try:
+            self.sync()
+        finally:
+            for segment in self._ended:
+                segment.close()
+            self._ended.clear()
+
+    def _end_segment(self) -> None:
+        """The caller holds the lock."""
+        segment, self._segment = self._segment, None
+        if segment is not None:
+            segment.finish()
+            self._ended.append(segment)
 
 
 def _records(file: BinaryIO, size: int) -> Iterator[tuple[int, int, int]]:
@@ -209,13 +253,17 @@ def _records(file: BinaryIO, size: int) -> Iterator[tuple[int, int, int]]:
     raise ValueError("ends without a footer, the recorder was killed here")
 
 
-def _channel_topic(data: bytes) -> tuple[int, str]:
-    """Number and topic of a channel record."""
-    number, _, length = struct.unpack_from("<HHI", data)
-    topic = data[8 : 8 + length]
-    if len(topic) != length:
-        raise ValueError("channel record is damaged")
-    return number, topic.decode()
+def _channel(data: bytes) -> tuple[int, str, str]:
+    """Number, topic and encoding of a channel record."""
+    number, _ = struct.unpack_from("<HH", data)
+    position, texts = 4, []
+    for _ in range(2):
+        (length,) = struct.unpack_from("<I", data, position)
+        position += 4 + length
+        if position > len(data):
+            raise ValueError("channel record is damaged")
+        texts.append(data[position - length : position].decode())
+    return number, texts[0], texts[1]
 
 
 def find_raw_frames(
@@ -254,7 +302,11 @@ def _segment_frames(path: Path, cameras: tuple[CameraEntry, ...]) -> Iterator[tu
         for opcode, offset, length in _records(file, os.fstat(file.fileno()).st_size):
             if opcode == Opcode.CHANNEL and length <= MAX_INFO_BYTES and len(channels) < _MAX_CHANNELS:
                 file.seek(offset)
-                number, topic = _channel_topic(file.read(length))
+                number, topic, encoding = _channel(file.read(length))
+                if topic.endswith("/pixels") and encoding != PIXEL_ENCODING:
+                    raise ValueError(
+                        f"pixels are encoded as {encoding[:60]!r}, expected {PIXEL_ENCODING!r}: read it with the version that recorded it"
+                    )
                 if topic in topics:
                     channels[number] = topics[topic]
             elif opcode == Opcode.MESSAGE and length >= _MESSAGE.size:
