@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+import urllib.request
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from tests import network_namespace
 from tests.service.harness import PATIENCE_S, TINY_ROOM, Service
 
 from nearfield_protocol.codec import SetLightWeight, SetObjectPose
@@ -27,14 +30,23 @@ from nearfield_server.supervisor.control_socket import RunningService
 
 pytestmark = pytest.mark.service
 
+SLOW_DISK = Path(__file__).parent / "slow_disk"
+
 
 @pytest.fixture(scope="module")
-def noisy(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
+def delay(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A file; while it exists, every write of a recorder waits as many seconds as it says."""
+    return tmp_path_factory.mktemp("disk") / "delay"
+
+
+@pytest.fixture(scope="module")
+def noisy(tmp_path_factory: pytest.TempPathFactory, delay: Path) -> Iterator[Service]:
     """A service whose cameras never deliver the same picture twice."""
     folder = tmp_path_factory.mktemp("noisy")
+    slow_disk = {"PYTHONPATH": str(SLOW_DISK), "NEARFIELD_TESTS_SLOW_DISK": str(delay)}
     # A room of its own: `nearfield record ROOM` finds a service by its room, and other tests may serve the same one at this moment.
     room = shutil.copytree(TINY_ROOM, folder / "room")
-    service = Service(folder / "service.log", "--full-well", "20", "--rate", "10", room=room)
+    service = Service(folder / "service.log", "--full-well", "20", "--rate", "10", room=room, **slow_disk)
     try:
         service.running()
         yield service
@@ -48,6 +60,30 @@ def _recording(service: Service) -> dict[str, Any]:
 
 def _ask(service: Service, **request: Any) -> dict[str, Any]:
     return RunningService(service.pid("supervisor")).ask(request)
+
+
+def _seen(service: Service, condition: Callable[[dict[str, Any]], Any], what: str) -> dict[str, Any]:
+    """What the page is told of the recorder, as soon as it is so."""
+    port, end = service.status("supervisor")["port"], time.monotonic() + PATIENCE_S
+    while True:
+        with urllib.request.urlopen(f"http://127.0.0.1:{port}/api/status", timeout=PATIENCE_S) as answer:
+            status: dict[str, Any] = json.load(answer)
+        recorder: dict[str, Any] = status["processes"].get("recorder", {})
+        if "state" in recorder and condition(recorder):
+            assert not status["light"]["is_stale"]
+            return recorder
+        assert time.monotonic() < end, f"{what} was not seen: {recorder}"
+        time.sleep(0.1)
+
+
+def _end_recording(service: Service) -> dict[str, Any]:
+    _ask(service, command="finish")
+    end = time.monotonic() + PATIENCE_S
+    while (found := _ask(service, command="status"))["running"]:
+        assert time.monotonic() < end
+        time.sleep(0.1)
+    recording: dict[str, Any] = found["recording"]
+    return recording
 
 
 def _disturb(service: Service, step: int) -> None:
@@ -84,13 +120,9 @@ def test_a_recording_gives_the_same_packets_though_its_recorder_was_killed(
     os.kill(noisy.pid("recorder"), signal.SIGKILL)
     _wait_for_updates(noisy, 2, 10)
     assert noisy.newest_packet().sequence > light_before
-    _ask(noisy, command="finish")
-    end = time.monotonic() + PATIENCE_S
-    while (found := _ask(noisy, command="status"))["running"]:
-        assert time.monotonic() < end
-        time.sleep(0.1)
-    assert found["recording"]["state"] == "ended"
-    assert found["recording"]["warning"] == ""
+    found = _end_recording(noisy)
+    assert found["state"] == "ended"
+    assert found["warning"] == ""
     recording = open_recording(folder)
     assert not any(verify_frames(recording))
     assert [take.number for take in recording.manifest.takes] == [1, 2]
@@ -134,6 +166,64 @@ def _spoil_packet(folder: Path) -> None:
 def _cut_first_take(folder: Path) -> None:
     segment = min((folder / "segments").iterdir())
     segment.write_bytes(segment.read_bytes()[: segment.stat().st_size * 2 // 3])
+
+
+def test_a_slow_disk_costs_recorded_frames_that_are_counted_and_no_light(
+    noisy: Service, delay: Path, tmp_path: Path
+) -> None:
+    folder = tmp_path / "slow"
+    _ask(noisy, command="record", folder=str(folder), kind="raw", queue_bytes=1_000_000)
+    _wait_for_updates(noisy, 1, 3)
+    frames = noisy.status("cam0")["frames"]
+    delay.write_text("0.2")
+    try:
+        recorder = _seen(noisy, lambda found: found["frames_dropped"] >= 20, "dropped frames")
+        assert re.search(
+            r"\d+ frames were not recorded: the disk or the processor is too slow", recorder["warning"]
+        )
+        assert not recorder["fault"]
+        assert recorder["queue_mb"] <= 1.0
+        noisy.packet_after(time.monotonic())
+        assert noisy.wait("more frames", lambda: noisy.status("cam0")["frames"] > frames + 10)
+    finally:
+        delay.unlink()
+    dropped = _end_recording(noisy)["frames_dropped"]
+    recording = open_recording(folder)
+    assert not any(verify_frames(recording))
+    [take] = recording.manifest.takes
+    assert take.frames_dropped == dropped >= 20
+    # What is there gives the light of that time; where a frame is missing that it was made of, that is said.
+    report = check_identity(folder)
+    assert not report.difference, report.lines()
+    assert report.packets_equal == report.packets > 0
+
+
+def test_a_full_disk_ends_the_recording_in_words_and_no_light(noisy: Service, tmp_path: Path) -> None:
+    if reason := network_namespace.why_not():
+        pytest.skip(f"a small disk cannot be made: {reason}")
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    subprocess.run(["mount", "-t", "tmpfs", "-o", "size=4m", "none", str(disk)], check=True, timeout=60)
+    try:
+        folder = disk / "full"
+        _ask(noisy, command="record", folder=str(folder), kind="raw", reserve_bytes=0)
+        recorder = _seen(noisy, lambda found: found["state"] == "stopped", "the end of the recording")
+        assert "recording stopped: the disk is full" in recorder["fault"]
+        assert recorder["fault"] in recorder["warning"]
+        noisy.packet_after(time.monotonic())
+        written = _end_recording(noisy)["frames_written"]
+        recording = open_recording(folder)
+        assert not any(verify_frames(recording))
+        assert sum(len(track.frames) for track in recording.tracks) == written > 3
+        report = check_identity(folder)
+        assert not report.difference, report.lines()
+        assert report.packets_equal == report.packets > 0
+    finally:
+        subprocess.run(["umount", str(disk)], check=True, timeout=60)
+    # Nothing of it stays: the next recording begins as usual, and ends as asked though it has hardly begun.
+    _ask(noisy, command="record", folder=str(tmp_path / "next"), kind="raw")
+    found = _end_recording(noisy)
+    assert (found["state"], found["warning"], found["folder"]) == ("ended", "", str(tmp_path / "next"))
 
 
 def test_the_command_records_and_the_folder_is_a_room(noisy: Service, tmp_path: Path) -> None:

@@ -48,6 +48,13 @@ def record(
     keep_free_mb: Annotated[
         int | None, typer.Option(min=0, help="Stop when less than this is free on the disk; default: 500 MB.")
     ] = None,
+    queue_mb: Annotated[
+        int | None,
+        typer.Option(
+            min=1,
+            help="Most memory for frames that wait for the disk; default: 2000 MB or a quarter of what is free.",
+        ),
+    ] = None,
     stop: Annotated[bool, typer.Option("--stop", help="End the recording that runs.")] = False,
     rate: Annotated[
         float | None, typer.Option(min=0.1, max=240.0, help="Frames per second, where a service is started.")
@@ -70,6 +77,8 @@ def record(
     options = recording_options(out, kind)
     if keep_free_mb is not None:
         options["reserve_bytes"] = keep_free_mb * 1_000_000
+    if queue_mb is not None:
+        options["queue_bytes"] = queue_mb * 1_000_000
     service = _chosen_service(path)
     with contextlib.ExitStack() as started:
         if service is None:

@@ -14,6 +14,7 @@ from nearfield_server.recording.folder import check_target
 from nearfield_server.supervisor.child import Child
 
 FINISH_LIMIT_S: Final = 150.0
+_ASK_PERIOD_S: Final = 0.5
 
 _log = structlog.get_logger("nearfield.supervisor")
 
@@ -34,6 +35,7 @@ class RecorderDesk:
         """Last status of the recorder before, once it has ended."""
         self._make_child, self._ask_to_finish = make_child, ask_to_finish
         self._finish_by_s: float | None = None
+        self._asked_s = 0.0
 
     def start(self, options: dict[str, Any], now_s: float, *, is_new: bool = True) -> Child:
         """Start recording.
@@ -70,7 +72,7 @@ class RecorderDesk:
             raise ServiceError("there is no recording to end")
         if self._finish_by_s is None:
             self._finish_by_s = now_s + FINISH_LIMIT_S
-            self._ask_to_finish()
+            self._ask(now_s)
 
     def watch(self, now_s: float) -> None:
         """Look after the recorder: start it again when it was killed, and let go of it when it has ended as asked."""
@@ -88,6 +90,10 @@ class RecorderDesk:
             _log.warning("recorder did not end and is killed", pid=child.pid)
             child.finish(0.0)
             self._let_go(child)
+        elif (
+            child.status.get("state") not in ("finishing", "ended") and now_s - self._asked_s >= _ASK_PERIOD_S
+        ):
+            self._ask(now_s)  # it was not listening yet
 
     def report(self) -> dict[str, Any]:
         """What is known of the recording, for whoever asked for it."""
@@ -101,6 +107,10 @@ class RecorderDesk:
             "phase": child.status.get("phase", "starting"),
             "recording": _recording(child),
         }
+
+    def _ask(self, now_s: float) -> None:
+        self._asked_s = now_s
+        self._ask_to_finish()
 
     def _let_go(self, child: Child) -> None:
         self.last = _recording(child)

@@ -236,7 +236,7 @@ class Supervisor:
         """Answer a command of the user's command line; called in the thread of the control socket."""
         command = request.get("command")
         if command == "record":
-            known = ("folder", "kind", "reserve_bytes")
+            known = ("folder", "kind", "reserve_bytes", "queue_bytes")
             options: dict[str, Any] = {name: request[name] for name in known if name in request}
             return self._errands.request(lambda: self._record(options))
         if command == "finish":

@@ -79,6 +79,21 @@ def test_a_recording_from_start_to_end(tmp_path: Path) -> None:
         desk.finish(5.0)
 
 
+def test_a_recorder_that_only_starts_is_asked_again(tmp_path: Path) -> None:
+    office = Office()
+    desk, child = office.desk, office.child
+    desk.start({"folder": str(tmp_path / "r"), "kind": "raw"}, 0.0)
+    desk.finish(0.1)
+    desk.watch(0.2)
+    assert office.asked == 1
+    desk.watch(1.0)
+    assert office.asked == 2
+    child.status = {"state": "finishing"}
+    desk.watch(2.0)
+    desk.watch(3.0)
+    assert office.asked == 2
+
+
 def test_a_recorder_that_does_not_end_is_ended(tmp_path: Path) -> None:
     office = Office()
     office.desk.start({"folder": str(tmp_path / "r"), "kind": "exr"}, 0.0)
