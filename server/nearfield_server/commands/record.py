@@ -42,7 +42,7 @@ def record(
         str,
         typer.Option(
             "--format",
-            help="exr: OpenEXR files, for any tool; raw: MCAP, a quarter of the work, for full rate.",
+            help="exr: OpenEXR files, for any tool; raw: MCAP, a tenth of the work, for full rate.",
         ),
     ] = "exr",
     keep_free_mb: Annotated[

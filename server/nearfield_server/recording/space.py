@@ -39,7 +39,7 @@ def most_bytes_per_second(sizes: Sequence[tuple[int, int]], frame_rate: float) -
     return sum(height * width * 8 for height, width in sizes) * frame_rate
 
 
-TYPICAL_RATIO: Final = 0.5
+TYPICAL_RATIO: Final = 0.4
 """Size on disk relative to that: fish-eye pictures with noise, either format."""
 
 
