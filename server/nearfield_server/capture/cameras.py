@@ -66,8 +66,9 @@ def make_source(
     Args:
         room: the room file.
         camera_index: position of the camera in it.
-        options: `timeline` (name of a lighting sequence) and `sensor` (fields of `SensorModel`), for simulated cameras; `gate_port` for
-            cameras of other machines; `replay` (`speed`, `loop`, and `origin_ns`, see `RecordedCamera`), for recorded ones.
+        options: `frame_rate` (1/s) to ask of devices instead of that of the room file; `timeline` (name of a lighting sequence) and
+            `sensor` (fields of `SensorModel`), for simulated cameras; `gate_port` for cameras of other machines; `replay` (`speed`,
+            `loop`, and `origin_ns`, see `RecordedCamera`), for recorded ones.
         circle: `image_circle` of the camera, for brackets chosen from the picture; None = everywhere.
 
     Raises:
@@ -81,6 +82,7 @@ def make_source(
         height=camera.intrinsics.height,
         width=camera.intrinsics.width,
         frame_rate=room.frame_rate,
+        asked_rate=options.get("frame_rate"),
         lights=room.lights,
         timeline=load_timeline(room, options["timeline"]) if options.get("timeline") else None,
         sensor=options.get("sensor"),
@@ -101,7 +103,8 @@ class SourcePlan:
         camera_index: position in its file; each simulated camera has noise of its own.
         config: the `source` table.
         height: pixels. width: pixels.
-        frame_rate: frames per second.
+        frame_rate: frames per second, as the file says.
+        asked_rate: frames per second to ask of a device instead; None = those of the file.
         lights: switchable lights of a simulated room.
         timeline: lighting sequence that simulated cameras play.
         sensor: fields of `SensorModel` for simulated cameras; None = exact pictures.
@@ -117,6 +120,7 @@ class SourcePlan:
     height: int
     width: int
     frame_rate: float
+    asked_rate: float | None = None
     lights: tuple[SwitchableLight, ...] = ()
     timeline: Timeline | None = None
     sensor: dict[str, float] | None = None
@@ -186,21 +190,22 @@ def build_source(plan: SourcePlan) -> Source:
 
 def _device_source(plan: SourcePlan, table: AravisSourceTable | V4l2SourceTable) -> DeviceSource:
     size = plan.width, plan.height
+    frame_rate = plan.asked_rate or plan.frame_rate
     device: Device
     # Only processes of such cameras load what speaks to them.
     if isinstance(table, AravisSourceTable):
         from nearfield_server.capture.aravis.device import AravisDevice
 
-        device = AravisDevice(plan.camera_id, table, *size, plan.frame_rate)
+        device = AravisDevice(plan.camera_id, table, *size, frame_rate)
     else:
         from nearfield_server.capture.v4l2.device import V4l2Device
 
-        device = V4l2Device(plan.camera_id, table, *size, plan.frame_rate)
+        device = V4l2Device(plan.camera_id, table, *size, frame_rate)
     camera = DeviceCamera(
         camera_id=plan.camera_id,
         table=table,
         height=plan.height,
         width=plan.width,
-        frame_rate=plan.frame_rate,
+        frame_rate=frame_rate,
     )
     return DeviceSource(camera, device, Darkroom(plan.camera_id, table, *size, plan.circle))

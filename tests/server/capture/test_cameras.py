@@ -11,10 +11,12 @@ import pytest
 from nearfield_calibration.fisheye import unproject
 from nearfield_calibration.models import FisheyeIntrinsics
 from nearfield_server.capture.cameras import image_circle, load_timeline, make_source
+from nearfield_server.capture.device_source import DeviceSource
 from nearfield_server.capture.exr_sequence import ExrSequenceSource
 from nearfield_server.capture.lab_source import LabSource
 from nearfield_server.errors import ConfigError
 from nearfield_server.scene.bundle import load_bundle
+from nearfield_server.scene.device_schema import AravisSourceTable, V4l2SourceTable
 from nearfield_server.scene.exr import write_exr
 from nearfield_server.scene.room_config import ExrSequenceSourceConfig, RoomConfig, load_room
 
@@ -91,3 +93,22 @@ def test_recordings_play_at_the_rate_of_the_room(room: RoomConfig, tmp_path: Pat
     assert source.sequence.frame_rate == room.frame_rate
     source.open()
     assert source.next_frame(0) is not None
+
+
+@pytest.mark.parametrize("kind", ["aravis", "v4l2"])
+def test_devices_are_asked_for_the_rate_of_the_command_line(room: RoomConfig, kind: str) -> None:
+    table = (
+        AravisSourceTable(kind="aravis", address="127.0.0.9", exposure_s=0.01)
+        if kind == "aravis"
+        else V4l2SourceTable(kind="v4l2", path="/dev/video9", exposure_s=0.01)
+    )
+    real = replace(room, sources=(table, *room.sources[1:]))
+    for options, rate in (
+        ({}, room.frame_rate),
+        ({"frame_rate": None}, room.frame_rate),
+        ({"frame_rate": 7.5}, 7.5),
+    ):
+        source = make_source(real, 0, options)
+        assert isinstance(source, DeviceSource)
+        assert source._camera.frame_rate == rate
+        assert source._device._frame_rate == rate  # type: ignore[attr-defined]
