@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from nearfield_server.errors import AssetError
+from nearfield_server.whole_file import whole_file
 
 
 def write_json(path: Path, content: dict[str, Any]) -> None:
@@ -15,10 +16,8 @@ def write_json(path: Path, content: dict[str, Any]) -> None:
     Raises:
         AssetError: it cannot be written.
     """
-    partial = path.with_suffix(".partial")
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        partial.write_text(json.dumps(content, indent=2, allow_nan=False) + "\n", encoding="utf-8")
-        partial.replace(path)
+        with whole_file(path) as partial:
+            partial.write_text(json.dumps(content, indent=2, allow_nan=False) + "\n", encoding="utf-8")
     except OSError as error:
         raise AssetError(f"{path}: cannot be written ({error.strerror}); choose another --out") from error

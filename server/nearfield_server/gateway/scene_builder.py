@@ -28,6 +28,7 @@ from nearfield_server.records import RoomMesh
 from nearfield_server.scene.prepared_cache import ensure_prepared
 from nearfield_server.scene.room_config import RoomConfig
 from nearfield_server.scene.room_model import export_room_glb
+from nearfield_server.whole_file import whole_file
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -117,12 +118,10 @@ def _exported_room(mesh: RoomMesh) -> Path:
     path = cache_root() / "rooms" / f"room-{mesh.content_hash[:32]}.glb"
     if path.is_file():
         return path
-    partial = path.with_suffix(".partial")
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        export_room_glb(mesh, partial)
-        # Whole or not at all: another gateway may look for the file at this moment.
-        partial.replace(path)
+        # Another gateway may look for the file at this moment.
+        with whole_file(path) as partial:
+            export_room_glb(mesh, partial)
     except OSError as error:
         raise AssetError(
             f"{path}: cannot write the room model ({error.strerror}); set NEARFIELD_CACHE_DIR"

@@ -8,8 +8,6 @@ from __future__ import annotations
 
 import hashlib
 import inspect
-import os
-import tempfile
 import zipfile
 from collections.abc import Callable
 from dataclasses import fields
@@ -34,6 +32,7 @@ from nearfield_server.pipeline.hidden_light import (
 from nearfield_server.records import GatherTable, RoomMesh, TexelGeometry, UnseenFill
 from nearfield_server.scene.room_config import RoomConfig
 from nearfield_server.scene.room_model import load_room_mesh
+from nearfield_server.whole_file import whole_file
 
 _LOGGER = structlog.get_logger(__name__)
 # Raised whenever the meaning or the making of an artefact changes.
@@ -135,14 +134,8 @@ def _save(path: Path, record: _Record) -> _Record:
     """Write a record; failure is logged and costs only the next start."""
     arrays: dict[str, Any] = {field.name: np.asarray(getattr(record, field.name)) for field in fields(record)}
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".tmp", delete=False) as stream:
-            try:
-                np.savez(stream, **arrays)
-            except BaseException:
-                os.unlink(stream.name)
-                raise
-        os.replace(stream.name, path)
+        with whole_file(path) as partial, partial.open("wb") as stream:
+            np.savez(stream, **arrays)
     except OSError as error:
         _LOGGER.warning("geometry cache not written", file=str(path), reason=str(error))
     return record

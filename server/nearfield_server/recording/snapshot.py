@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 import shutil
 from dataclasses import asdict, replace
@@ -10,9 +9,9 @@ from pathlib import Path
 from typing import Any, Final
 
 from nearfield_server.bus.messages import ControlState
-from nearfield_server.recording.files.manifest import write_atomically
 from nearfield_server.scene.room_config import ROOM_FILE, ObjectConfig, RoomConfig
 from nearfield_server.scene.toml_text import toml_document
+from nearfield_server.whole_file import whole_file
 
 FILES_FOLDER: Final = "room"
 _UNSAFE: Final = re.compile(r"[^A-Za-z0-9_.-]")
@@ -58,9 +57,8 @@ def write_snapshot(folder: Path, room: RoomConfig, camera_ids: tuple[str, ...]) 
     def keep(source: Path, name: str) -> str:
         target = files / name
         if not target.exists():
-            temporary = files / f".{name}.tmp"
-            shutil.copyfile(source, temporary)
-            os.replace(temporary, target)
+            with whole_file(target) as partial:
+                shutil.copyfile(source, partial)
         return f"{FILES_FOLDER}/{name}"
 
     values: dict[str, Any] = {
@@ -102,7 +100,8 @@ def write_snapshot(folder: Path, room: RoomConfig, camera_ids: tuple[str, ...]) 
             }
         )
     filled = {key: value for key, value in values.items() if value != []}
-    write_atomically(folder / ROOM_FILE, toml_document(filled).encode())
+    with whole_file(folder / ROOM_FILE, is_durable=True) as partial:
+        partial.write_bytes(toml_document(filled).encode())
 
 
 def safe_names(names: list[str]) -> list[str]:

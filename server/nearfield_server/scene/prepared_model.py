@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import os
-import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,6 +17,7 @@ from nearfield_server.scene.gltf_accessors import Buffers
 from nearfield_server.scene.occlusion_field import MAX_RESOLUTION, NUM_CHANNELS, OcclusionField
 from nearfield_server.scene.shadow_proxy import ShadowProxy
 from nearfield_server.scene.transfer import Transfer
+from nearfield_server.whole_file import whole_file
 
 FORMAT_VERSION = 2
 """Of `extras.nearfield`; part of the cache key, so a change makes cached models be prepared again."""
@@ -64,17 +63,8 @@ def save_prepared(model: PreparedModel, path: str | Path) -> None:
     path = Path(path)
     data = _encode(model)
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        descriptor, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-        try:
-            with os.fdopen(descriptor, "wb") as file:
-                file.write(data)
-            # mkstemp makes the file private; a model is as readable as any other file the user writes.
-            os.chmod(temporary, 0o644)
-            os.replace(temporary, path)
-        except BaseException:
-            os.unlink(temporary)
-            raise
+        with whole_file(path) as partial:
+            partial.write_bytes(data)
     except OSError as error:
         raise AssetError(
             f"{path}: cannot be written ({error.strerror}); choose another folder with -o"

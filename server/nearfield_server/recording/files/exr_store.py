@@ -6,7 +6,6 @@ without a line) is passed over by readers.
 
 from __future__ import annotations
 
-import contextlib
 import io
 import os
 import threading
@@ -23,6 +22,7 @@ from nearfield_server.recording.files.frame_info import FrameInfo, info_from_fie
 from nearfield_server.recording.files.json_lines import LineWriter, read_lines
 from nearfield_server.recording.files.manifest import CameraEntry
 from nearfield_server.scene.exr import read_size
+from nearfield_server.whole_file import whole_file
 
 FRAMES_FOLDER: Final = "frames"
 INDEX_FILE: Final = "index.jsonl"
@@ -101,16 +101,9 @@ class ExrWriter:
         """Write a frame (H, W, 4) and return its bytes on disk."""
         data = encode_exr(self._cameras[camera], info, pixels)
         name = file_name(info)
-        temporary = self._folders[camera] / f".{name}.tmp"
         path = self._folders[camera] / name
-        try:
-            with temporary.open("wb") as file:
-                file.write(data)
-            os.replace(temporary, path)
-        except OSError:
-            with contextlib.suppress(OSError):
-                temporary.unlink(missing_ok=True)
-            raise
+        with whole_file(path) as partial:
+            partial.write_bytes(data)
         line = f'{{"file":"{name}",{info.to_json()[1:]}'
         try:
             size = len(data) + self._indices[camera].write(line)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final, Literal
@@ -14,6 +13,7 @@ import numpy as np
 from nearfield_server.errors import AssetError
 from nearfield_server.recording.files.frame_info import parse_json
 from nearfield_server.records import CameraModel
+from nearfield_server.whole_file import whole_file
 
 MANIFEST_FILE: Final = "recording.json"
 FORMAT: Final = 1
@@ -128,25 +128,8 @@ def write_manifest(folder: Path, manifest: Manifest) -> None:
             for t in manifest.takes
         ],
     }
-    write_atomically(folder / MANIFEST_FILE, json.dumps(body, indent=1).encode())
-
-
-def write_atomically(path: Path, data: bytes) -> None:
-    """Replace a file by its new content in one step, on disk when this returns.
-
-    Raises:
-        OSError: the disk refuses; the old file is still there, and no other.
-    """
-    temporary = path.with_name(f".{path.name}.tmp")
-    try:
-        with temporary.open("wb") as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(temporary, path)
-    except OSError:
-        temporary.unlink(missing_ok=True)
-        raise
+    with whole_file(folder / MANIFEST_FILE, is_durable=True) as partial:
+        partial.write_bytes(json.dumps(body, indent=1).encode())
 
 
 def read_manifest(folder: Path) -> Manifest:
