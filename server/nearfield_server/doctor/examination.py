@@ -28,7 +28,13 @@ from nearfield_server.doctor.software import (
     check_page,
     check_python,
 )
-from nearfield_server.doctor.system import check_clock, check_disk, check_governor, check_memory
+from nearfield_server.doctor.system import (
+    check_clock,
+    check_disk,
+    check_governor,
+    check_memory,
+    check_processor,
+)
 from nearfield_server.errors import AssetError, ConfigError
 from nearfield_server.scene.device_schema import AravisSourceTable, V4l2SourceTable
 from nearfield_server.scene.room_config import RoomConfig, load_room
@@ -79,6 +85,7 @@ def examine(
         lambda: check_disk(machine, recordings, 0.0 if room is None else recorded_bytes_per_s(room)),
         lambda: check_ports(machine, port, host),
         lambda: check_clock(machine, uses_ptp=any(_uses_ptp(source) for source in aravis)),
+        lambda: check_processor(machine),
         lambda: check_governor(machine),
         lambda: check_page(static_dir),
         lambda: [] if room is None else check_room_cameras(machine, room),

@@ -39,6 +39,9 @@ class Machine(Protocol):
     def may_use(self, path: str) -> bool:
         """Whether this user may read and write a path."""
 
+    def num_processors(self) -> int:
+        """How many processors this program may use."""
+
     def python_version(self) -> str:
         """As "3.11.7"."""
 
@@ -109,6 +112,10 @@ class ThisMachine:
     def may_use(self, path: str) -> bool:
         """See `Machine`."""
         return os.access(path, os.R_OK | os.W_OK)
+
+    def num_processors(self) -> int:
+        """See `Machine`."""
+        return len(os.sched_getaffinity(0))
 
     def python_version(self) -> str:
         """See `Machine`."""

@@ -11,6 +11,7 @@ from nearfield_server.doctor.machine import Machine
 from nearfield_server.doctor.network import GigeStream
 from nearfield_server.errors import CaptureError, ConfigError
 from nearfield_server.imaging.pixel_formats import pixel_format
+from nearfield_server.recording.space import TYPICAL_RATIO, most_bytes_per_second
 from nearfield_server.records import CameraModel
 from nearfield_server.scene.device_schema import (
     AravisSourceTable,
@@ -67,14 +68,9 @@ def gige_streams(room: RoomConfig) -> list[GigeStream]:
 
 
 def recorded_bytes_per_s(room: RoomConfig) -> float:
-    """Bytes per second of all cameras, uncompressed sensor codes; half floats for cameras that are no devices."""
-    total = 0.0
-    for camera, source in zip(room.cameras, room.sources, strict=True):
-        if isinstance(source, AravisSourceTable | V4l2SourceTable):
-            total += frame_bytes(camera, source) * exposures_per_picture(source) * room.frame_rate
-        else:
-            total += camera.intrinsics.width * camera.intrinsics.height * 6 * room.frame_rate
-    return total
+    """Bytes per second that a recording takes, as `nearfield record` says it too."""
+    sizes = [(camera.intrinsics.height, camera.intrinsics.width) for camera in room.cameras]
+    return TYPICAL_RATIO * most_bytes_per_second(sizes, room.frame_rate)
 
 
 def check_room_cameras(machine: Machine, room: RoomConfig) -> list[Finding]:

@@ -52,7 +52,7 @@ def check_disk(machine: Machine, folder: Path, bytes_per_s: float) -> Finding:
     Args:
         machine: see there.
         folder: where recordings would go.
-        bytes_per_s: of all cameras, uncompressed.
+        bytes_per_s: of all cameras, as they are recorded.
     """
     free = machine.free_bytes(folder)
     if free is None:
@@ -89,16 +89,34 @@ def check_clock(machine: Machine, *, uses_ptp: bool = False) -> Finding:
     return ok("clock", "synchronised")
 
 
+def check_processor(machine: Machine) -> Finding:
+    """The processor has what the compiled code uses: instructions for half floats, and a second core for the light beside the cameras."""
+    cores = machine.num_processors()
+    told = f"{cores} core{'s' if cores > 1 else ''}"
+    for line in (machine.read("/proc/cpuinfo") or "").splitlines():
+        name, _, value = line.partition(":")
+        # Processors of other kinds than x86 name their features elsewhere, and those with 64 bits all have half floats.
+        if name.strip() == "flags" and "f16c" not in value.split():
+            return problem(
+                "processor",
+                f"{told}, without F16C (conversion of half floats)",
+                "use an x86 processor made since 2013, or let the virtual machine see the host's (QEMU: -cpu host)",
+            )
+    if cores < 2:
+        return warning("processor", f"{told}: frames will be late", "use a machine with two cores or more")
+    return ok("processor", told)
+
+
 def check_governor(machine: Machine) -> Finding:
     """The processor does not save power while frames come."""
     paths = machine.names(_GOVERNORS)
     governors = sorted({machine.read(path) or "unknown" for path in paths})
     if not governors:
-        return ok("processor", "its frequency is not governed here")
+        return ok("frequency", "not governed here")
     if "powersave" in governors:
         return warning(
-            "processor",
+            "frequency",
             f"governor {', '.join(governors)}: frames will jitter",
             f"echo performance | sudo tee {_GOVERNORS}",
         )
-    return ok("processor", f"governor {', '.join(governors)}")
+    return ok("frequency", f"governor {', '.join(governors)}")

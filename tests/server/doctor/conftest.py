@@ -55,6 +55,7 @@ class FakeMachine:
         }
     )
     forbidden: set[str] = field(default_factory=set)
+    processors: int = 4
     python: str = "3.11.7"
     packages: dict[str, str] = field(default_factory=lambda: {"numpy": "2.4.1", "fastapi": "0.121.0"})
     needed: tuple[str, ...] = ("numpy<3,>=2.2", "fastapi<1,>=0.120")
@@ -77,6 +78,9 @@ class FakeMachine:
 
     def may_use(self, path: str) -> bool:
         return path not in self.forbidden
+
+    def num_processors(self) -> int:
+        return self.processors
 
     def python_version(self) -> str:
         return self.python

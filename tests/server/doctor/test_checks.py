@@ -334,6 +334,16 @@ def test_clock(machine: FakeMachine) -> None:
     expect(system.check_clock(machine, uses_ptp=True), OK)
 
 
+def test_processor(machine: FakeMachine) -> None:
+    expect(system.check_processor(machine), OK, "4 cores")  # flags are named otherwise, or not at all
+    machine.files["/proc/cpuinfo"] = "processor\t: 0\nflags\t\t: fpu avx2 f16c fma\n"
+    expect(system.check_processor(machine), OK, "4 cores")
+    machine.processors = 1
+    expect(system.check_processor(machine), WARNING, "1 core:", "two cores")
+    machine.files["/proc/cpuinfo"] = "processor\t: 0\nflags\t\t: fpu sse4_2 f16\n"
+    expect(system.check_processor(machine), PROBLEM, "without F16C", "-cpu host")
+
+
 def test_governor(machine: FakeMachine) -> None:
     expect(system.check_governor(machine), OK, "not governed")
     for number, governor in enumerate(["performance", "powersave"]):
