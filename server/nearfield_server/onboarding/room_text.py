@@ -6,9 +6,10 @@ import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+import tomli_w
+
 from nearfield_calibration.models import FisheyeIntrinsics
 from nearfield_server.errors import ConfigError
-from nearfield_server.scene.toml_text import toml_value
 
 SourceValue = str | int | float
 
@@ -16,12 +17,9 @@ _NOT_CALIBRATED = (
     "Not calibrated: the lens is guessed from the image circle, the pose is the identity.",
     "Light from this camera is wrong until a calibration has replaced fx to theta_max and world_from_camera.",
 )
-_HEADER = """# Room file of Nearfield; all keys: server/README.md
-format = 1
-name = {name}
-model = {model}   # metres, +y up, diffuse albedo in baseColorFactor
-frame_rate = {frame_rate}
-"""
+_HEADER = "# Room file of Nearfield; all keys: server/README.md\n"
+_MODEL_REMARK = "# The model: metres, +y up, diffuse albedo in baseColorFactor.\n"
+_IDENTITY = "world_from_camera = [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]]\n"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -42,7 +40,7 @@ class PlannedCamera:
 
 
 def _comment(text: str) -> str:
-    return "# " + "".join(character if character.isprintable() else " " for character in text)
+    return "# " + "".join(character if character.isprintable() else " " for character in text) + "\n"
 
 
 def camera_text(camera: PlannedCamera) -> str:
@@ -57,17 +55,17 @@ def camera_text(camera: PlannedCamera) -> str:
         "cy": round(lens.cy, 3),
         "theta_max": round(lens.theta_max, 6),
     }
-    lines = [
-        "[[cameras]]",
+    parts = [
+        "[[cameras]]\n",
         *(_comment(remark) for remark in camera.remarks),
-        f"id = {toml_value(camera.camera_id)}",
+        tomli_w.dumps({"id": camera.camera_id}),
         *(_comment(line) for line in _NOT_CALIBRATED),
-        *(f"{key} = {toml_value(number)}" for key, number in numbers.items()),
-        "world_from_camera = [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]]",
-        "[cameras.source]",
-        *(f"{key} = {toml_value(value)}" for key, value in camera.source.items()),
+        tomli_w.dumps(numbers),
+        _IDENTITY,
+        "[cameras.source]\n",
+        tomli_w.dumps(camera.source),
     ]
-    return "\n".join(lines) + "\n"
+    return "".join(parts)
 
 
 def new_room_text(name: str, model: str, frame_rate: float, cameras: Sequence[PlannedCamera]) -> str:
@@ -79,9 +77,8 @@ def new_room_text(name: str, model: str, frame_rate: float, cameras: Sequence[Pl
         frame_rate: frames per second asked of the cameras.
         cameras: at least one.
     """
-    header = _HEADER.format(
-        name=toml_value(name), model=toml_value(model), frame_rate=toml_value(float(frame_rate))
-    )
+    room = tomli_w.dumps({"format": 1, "name": name, "frame_rate": float(frame_rate)})
+    header = _HEADER + room + _MODEL_REMARK + tomli_w.dumps({"model": model})
     return "\n".join([header, *(camera_text(camera) for camera in cameras)])
 
 

@@ -8,9 +8,10 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, Final
 
+import tomli_w
+
 from nearfield_server.bus.messages import ControlState
 from nearfield_server.scene.room_config import ROOM_FILE, ObjectConfig, RoomConfig
-from nearfield_server.scene.toml_text import toml_document
 from nearfield_server.whole_file import whole_file
 
 FILES_FOLDER: Final = "room"
@@ -101,7 +102,7 @@ def write_snapshot(folder: Path, room: RoomConfig, camera_ids: tuple[str, ...]) 
         )
     filled = {key: value for key, value in values.items() if value != []}
     with whole_file(folder / ROOM_FILE, is_durable=True) as partial:
-        partial.write_bytes(toml_document(filled).encode())
+        partial.write_bytes(tomli_w.dumps(filled).encode())
 
 
 def safe_names(names: list[str]) -> list[str]:

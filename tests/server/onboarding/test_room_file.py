@@ -23,7 +23,6 @@ from nearfield_server.onboarding.room_text import (
 )
 from nearfield_server.scene.device_schema import AravisSourceTable, V4l2SourceTable
 from nearfield_server.scene.room_config import load_room
-from nearfield_server.scene.toml_text import toml_value
 
 TINY_ROOM = Path(__file__).parents[2] / "data" / "tiny_room"
 
@@ -142,11 +141,6 @@ def test_what_cannot_be_a_room_is_not_written(tmp_path: Path, model: Path) -> No
     with pytest.raises(AssetError, match="cannot be read"):
         add_cameras(path, [planned()])
     assert [item.name for item in tmp_path.iterdir()] == ["models"]
-
-
-@given(st.text(max_size=40))
-def test_any_text_is_a_toml_value(text: str) -> None:
-    assert tomllib.loads(f"key = {toml_value(text)}") == {"key": text}
 
 
 @given(st.lists(st.text(max_size=20), max_size=3), st.text(max_size=20))

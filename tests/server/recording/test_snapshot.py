@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import shutil
-import tomllib
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -20,24 +18,8 @@ from nearfield_server.recording.folder import begin_take, check_target
 from nearfield_server.recording.snapshot import resolve_room, safe_names, write_snapshot
 from nearfield_server.scene.room_config import load_room
 from nearfield_server.scene.room_model import load_room_mesh
-from nearfield_server.scene.toml_text import toml_document
 
 TINY = Path(__file__).parents[2] / "data" / "tiny_room"
-_TEXT = st.text(st.characters(exclude_categories=["Cs"]), max_size=12)
-_PLAIN = st.booleans() | st.integers(-(2**63), 2**63 - 1) | st.floats(allow_nan=False) | _TEXT
-_VALUE = st.recursive(_PLAIN, lambda inner: st.lists(inner, max_size=3), max_leaves=6)
-_TABLE = st.dictionaries(_TEXT, _VALUE | st.dictionaries(_TEXT, _VALUE, max_size=2), max_size=4)
-
-
-def _same(left: Any, right: Any) -> bool:
-    return repr(left) == repr(right) and left == right
-
-
-@given(st.dictionaries(_TEXT, _VALUE | _TABLE | st.lists(_TABLE, min_size=1, max_size=3), max_size=5))
-def test_toml_is_read_back_equal_by_the_standard_library(document: dict[str, Any]) -> None:
-    back = tomllib.loads(toml_document(document))
-    assert set(back) == set(document)
-    assert all(_same(back[key], document[key]) for key in document)
 
 
 @given(st.lists(st.text(max_size=70), max_size=8))
