@@ -11,6 +11,9 @@ from nearfield_server.errors import CaptureError
 
 FIRST_FRAME_S: Final = 3.0
 """Streams take a moment to start."""
+LEAST_FIRST_FRAME_S: Final = 1.0
+_START_MARGIN: Final = 3.0
+"""Once it is known how long a device takes to start, it has so many times that."""
 _LEAST_LIMIT_S: Final = 0.5
 _GREATEST_LIMIT_S: Final = 1.5
 _LIMIT_PERIODS: Final = 5.0
@@ -66,6 +69,8 @@ class FrameStream:
         self._last_id: int | None = None
         self._alive_ns = 0
         self._has_delivered = False
+        self._opened_ns = 0
+        self._start_limit_s = FIRST_FRAME_S
         self._synchronised = False
         self._is_host_clock = False
         self._is_triggered = False
@@ -73,9 +78,13 @@ class FrameStream:
     def open(self) -> DeviceCapabilities:
         """Open the device; its clock and its numbers begin anew."""
         capabilities = self._device.open()
+        if not self._has_delivered:
+            self._start_limit_s = (
+                FIRST_FRAME_S  # it was opened in vain before, perhaps because it had too little time
+            )
         self.clock_map.restart()
         self._last_id, self._has_delivered, self._is_triggered = None, False, False
-        self._alive_ns = self._clock()
+        self._alive_ns = self._opened_ns = self._clock()
         return capabilities
 
     def close(self) -> None:
@@ -97,7 +106,11 @@ class FrameStream:
         if frame is None:
             self._check_alive()
             return None
-        self._alive_ns, self._has_delivered = self._clock(), True
+        self._alive_ns = self._clock()
+        if not self._has_delivered:
+            self._has_delivered = True
+            took_s = (self._alive_ns - self._opened_ns) * 1e-9
+            self._start_limit_s = min(max(_START_MARGIN * took_s, LEAST_FIRST_FRAME_S), FIRST_FRAME_S)
         self.frames += 1
         if self._last_id is not None and frame.frame_id > self._last_id + 1:
             self.gaps += frame.frame_id - self._last_id - 1
@@ -130,7 +143,7 @@ class FrameStream:
             # A lost picture is asked for again first.
             limit_s = max(limit_s, _GREATEST_LIMIT_S)
         if not self._has_delivered:
-            limit_s = max(limit_s, FIRST_FRAME_S)
+            limit_s = max(limit_s, self._start_limit_s)
         if silent_s <= limit_s:
             return
         if self._has_delivered:

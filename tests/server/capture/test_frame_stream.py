@@ -10,7 +10,12 @@ import numpy as np
 import pytest
 
 from nearfield_server.capture.device import DeviceCapabilities, Exposure, SensorFrame
-from nearfield_server.capture.frame_stream import FIRST_FRAME_S, FrameStream, silence_limit_s
+from nearfield_server.capture.frame_stream import (
+    FIRST_FRAME_S,
+    LEAST_FIRST_FRAME_S,
+    FrameStream,
+    silence_limit_s,
+)
 from nearfield_server.capture.picture_watch import FrozenWatch, exposure_differs
 from nearfield_server.errors import CaptureError
 
@@ -112,6 +117,29 @@ def test_a_device_that_never_sends_gets_a_little_longer(make_device: Callable[..
     with pytest.raises(CaptureError, match="trigger, packet size and firewall"):
         _take(stream, clock, 10.0)
     assert (clock() - start_ns) * 1e-9 == pytest.approx(FIRST_FRAME_S, abs=0.2)
+
+
+def test_a_device_that_is_known_to_start_at_once_is_opened_again_soon(
+    make_device: Callable[..., Any], clock: Any
+) -> None:
+    start_ns = clock()
+    stream = FrameStream(make_device(SCENE, silent=lambda at: at > start_ns * 1e-9 + 2.0), "cam0", clock, 0.1)
+
+    def silence_s() -> float:
+        stream.open()
+        opened_ns = clock()
+        with pytest.raises(CaptureError, match="trigger, packet size and firewall"):
+            _take(stream, clock, 10.0)
+        stream.close()
+        return float((clock() - opened_ns) * 1e-9)
+
+    stream.open()
+    with pytest.raises(CaptureError, match="no picture for"):
+        _take(stream, clock, 10.0)
+    stream.close()
+    assert silence_s() == pytest.approx(LEAST_FIRST_FRAME_S, abs=0.2)
+    # Perhaps that was too short: it has the full time again.
+    assert silence_s() == pytest.approx(FIRST_FRAME_S, abs=0.2)
 
 
 def test_long_exposures_are_no_silence(make_device: Callable[..., Any], clock: Any) -> None:
