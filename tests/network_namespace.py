@@ -19,6 +19,7 @@ from typing import Final
 OFF: Final = "NEARFIELD_TESTS_OUTSIDE"
 """Set to 1 to stay on the machine's network, to look into a running test from outside; tests of cameras are then skipped."""
 _INSIDE: Final = "NEARFIELD_TESTS_NAMESPACE"
+_MOUNTS: Final = "NEARFIELD_TESTS_MOUNTS"
 _CLONE_NEWNS, _CLONE_NEWUSER, _CLONE_NEWNET = 0x00020000, 0x10000000, 0x40000000
 _MS_REC, _MS_PRIVATE = 0x4000, 1 << 18
 _SIOCGIFFLAGS, _SIOCSIFFLAGS, _IFF_UP = 0x8913, 0x8914, 0x1
@@ -32,11 +33,17 @@ def enter() -> None:
     if _INSIDE in os.environ:
         return
     os.environ[_INSIDE] = _try_to_enter()
+    os.environ[_MOUNTS] = os.environ[_INSIDE] or _make_mounts_private()
 
 
 def why_not() -> str:
     """Why there is no namespace, in words; empty if there is one."""
     return os.environ.get(_INSIDE, "the namespace was not asked for")
+
+
+def why_no_mounts() -> str:
+    """Why tests must not mount anything, in words; empty if what they mount is theirs alone."""
+    return os.environ.get(_MOUNTS, "the namespace was not asked for")
 
 
 def camera_address(index: int) -> str:
@@ -66,11 +73,17 @@ def _try_to_enter() -> str:
         Path("/proc/self/setgroups").write_text("deny")
         Path("/proc/self/uid_map").write_text(f"0 {uid} 1")
         Path("/proc/self/gid_map").write_text(f"0 {gid} 1")
-    libc = ctypes.CDLL(None, use_errno=True)
-    if libc.mount(b"none", b"/", None, _MS_REC | _MS_PRIVATE, None) != 0:
-        return f"mounts cannot be made private: {os.strerror(ctypes.get_errno())}"
     _set_up("lo")
     return ""
+
+
+def _make_mounts_private() -> str:
+    """Reason of the system, empty on success."""
+    libc = ctypes.CDLL(None, use_errno=True)
+    if libc.mount(b"none", b"/", None, _MS_REC | _MS_PRIVATE, None) == 0:
+        return ""
+    # In a plain chroot, for one, whose root is no mount.
+    return f"mounts cannot be made private: {os.strerror(ctypes.get_errno())}"
 
 
 def _unshare(flags: int) -> str:

@@ -199,7 +199,7 @@ def test_a_slow_disk_costs_recorded_frames_that_are_counted_and_no_light(
 
 
 def test_a_full_disk_ends_the_recording_in_words_and_no_light(noisy: Service, tmp_path: Path) -> None:
-    if reason := network_namespace.why_not():
+    if reason := network_namespace.why_no_mounts():
         pytest.skip(f"a small disk cannot be made: {reason}")
     disk = tmp_path / "disk"
     disk.mkdir()
