@@ -12,7 +12,7 @@ from nearfield_server.benchmark.summary import METHOD_FIGURES
 from nearfield_server.commands.bench import bench
 
 # How late the light is can be measured on a machine with nothing else to do only; it has tests of its own.
-PARTS = ("server", "client", "methods", "ablation", "growth", "temporal")
+PARTS = ("server", "capture", "client", "methods", "ablation", "growth", "temporal")
 TINY = Path(__file__).parents[1] / "data" / "tiny_room"
 
 
@@ -27,6 +27,7 @@ def test_one_command_measures_everything(tmp_path: Path, monkeypatch: pytest.Mon
     for row in report["methods"]:
         assert all(row[figure] >= 0.0 for figure in METHOD_FIGURES)
     assert report["server"]["stage_cpu_ms"]["gather"] > 0.0
+    assert report["capture"]["raw_bits_changed"] == 0
     page = (tmp_path / "out" / "index.html").read_text(encoding="utf-8")
     assert "Run time against error" in page
     assert (tmp_path / "out" / "plots" / "tiny_error_against_time.svg").is_file()

@@ -42,6 +42,19 @@ def _made_up_run() -> dict[str, Any]:
         "versions": {"python": "3"},
         "parts": {"server": {"state": "done", "reason": ""}},
         "server": {"update_over_copy": 5.0, "stage_cpu_ms": {"gather": 10.0, "sh": 0.5}},
+        "capture": {
+            "picture": "8 x 8, <any>",
+            "cpu_ms": {"copy": 1.0, "record_raw": 7.0},
+            "to_copy": {
+                "record_raw": 7.0,
+                "spread": {
+                    "record_raw": {"median": 7.0, "lower_quartile": 6.0, "upper_quartile": 8.0, "count": 5}
+                },
+            },
+            "bytes_per_pixel": {"raw": 3.0},
+            "errors": {"merge": {"median": 0.01}},
+            "raw_bits_changed": 0,
+        },
         "client": {
             "frame_over_three16": 0.5,
             "rasterisers": {

@@ -112,7 +112,7 @@ def _numbers(prefix: str, value: Any) -> Iterator[tuple[str, float]]:
 def _spreads(report: dict[str, Any]) -> dict[str, float]:
     """Relative half widths between quartiles of the ratios that tell them, by the name of the figure."""
     found: dict[str, float] = {}
-    for section in ("server", "client"):
+    for section in ("server", "capture", "client"):
         _collect(report.get(section, {}), section, found)
     return found
 

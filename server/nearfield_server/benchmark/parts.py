@@ -53,6 +53,9 @@ PARTS: Final[dict[str, PartEntry]] = {
     "server": PartEntry(
         "nearfield_server.benchmark.sections", "server_section", "stages of the light pipeline"
     ),
+    "capture": PartEntry(
+        "nearfield_server.benchmark.sections", "capture_section", "pictures from the sensor to ring and disk"
+    ),
     "client": PartEntry(
         "nearfield_server.benchmark.sections", "client_section", "frames of the client and of other renderers"
     ),

@@ -116,6 +116,7 @@ def _page(out: Path, report: dict[str, Any], figures: dict[str, str]) -> str:
         "<h2>What each ingredient brings</h2>",
         _plain(report["ablation"]),
         _server(report["server"]),
+        _capture(report["capture"]),
         _client(report["client"]),
         _growth(report["growth"], figures),
         "<h2>Steadiness in time</h2>",
@@ -204,6 +205,17 @@ def _server(section: dict[str, Any]) -> str:
         "<h2>Light update, stage by stage (Rohmer et al. 2014, Table 1)</h2>"
         f"<table>{''.join(lines)}</table><h3>Ratios within one run</h3>" + _plain(ratios)
     )
+
+
+def _capture(section: dict[str, Any]) -> str:
+    if "cpu_ms" not in section:
+        return "<h2>Pictures</h2>" + _plain(section)
+    steps = [
+        {"step": name.replace("_", " "), "CPU ms": cost, "copies": section["to_copy"].get(name, 1.0)}
+        for name, cost in section["cpu_ms"].items()
+    ]
+    rest = {name: section[name] for name in ("picture", "bytes_per_pixel", "errors", "raw_bits_changed")}
+    return f"<h2>Pictures, from the sensor to ring and disk</h2>{_list(steps)}{_plain(rest)}"
 
 
 def _client(section: dict[str, Any]) -> str:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from typing import Any, Final
 
+from nearfield_server.benchmark.capture_times import measure_capture
 from nearfield_server.benchmark.parts import BenchSetup
 from nearfield_server.benchmark.scenario import box_scenario, bundle_scenario
 from nearfield_server.benchmark.server_growth import measure_server_growth
 from nearfield_server.benchmark.server_times import measure
 from nearfield_server.benchmark.temporal import measure_temporal
-from nearfield_server.errors import ServiceError
+from nearfield_server.errors import ConfigError, ServiceError
 from nearfield_server.records import LightSettings
 
 _SERVER_SIZE: Final = 1024
@@ -33,6 +34,13 @@ def server_section(setup: BenchSetup) -> dict[str, Any]:
             measure(bundle_scenario(bundle), settings, setup.backend, rounds) for bundle in setup.bundles
         ]
     return section
+
+
+def capture_section(setup: BenchSetup) -> dict[str, Any]:
+    """Developing, merging, cleaning and recording a picture of the first bundle."""
+    if not setup.bundles:
+        raise ConfigError("capture: expected a bundle with simulated cameras, found none; leave out --no-lab")
+    return measure_capture(setup.bundles[0], 2 if setup.tiny else _QUICK_ROUNDS if setup.quick else _ROUNDS)
 
 
 def client_section(setup: BenchSetup) -> dict[str, Any]:

@@ -45,7 +45,7 @@ def measure(scenario: Scenario, settings: LightSettings, backend: BackendName, r
         rounds: interleaved rounds; plain numpy takes part in every third one.
 
     Returns:
-        The section `server` of bench.json: ratios (medians over the rounds, their quartiles under `spreads`), CPU time by stage,
+        The section `server` of bench.json: ratios (medians over the rounds, their quartiles under `spread`), CPU time by stage,
         and what they were made of. `dirty1` is an update in which one per cent of the tiles of every picture changed, anywhere;
         it is compared with the gather of the same round.
     """
@@ -128,7 +128,7 @@ class _Bench:
             "update_wall_ms": medians["update"]["wall_ms"],
             "unchanged_us": medians["unchanged"]["wall_ms"] * 1e3 / _UNCHANGED_CALLS,
             "stage_cpu_ms": {name: row["cpu_ms"] for name, row in stages.items() if row},
-            "spreads": spreads,
+            "spread": spreads,
             "bytes": {**self._bytes, "update": sum(self._bytes.values()), "copy": _COPY_TRAFFIC},
             "dirty1": {
                 "tiles_share": self._dirty_share,

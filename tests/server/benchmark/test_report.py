@@ -26,6 +26,7 @@ def test_the_page_holds_every_method_plot_and_reason_and_needs_no_other_file(
     assert "room &lt;1&gt;" in text
     assert "no browser &lt;here&gt;" in text
     assert "project four cameras, combine" in text
+    assert "<td>record raw</td><td>7</td><td>7</td>" in text
     assert text.count("<svg") == len(draw_plots(run)) == 6
     assert 'src="data:image/jpeg;base64,cGljdHVyZQ=="' in text
     assert 'src="http' not in text
@@ -62,10 +63,10 @@ def test_the_table_for_documents_has_each_method_once_per_bundle(
 
 def test_a_run_without_any_part_still_has_a_page(tmp_path: Path, made_up_run: MakeRun) -> None:
     run = made_up_run()
-    for part in ("server", "client", "methods", "ablation", "growth", "temporal", "latency"):
+    for part in ("server", "capture", "client", "methods", "ablation", "growth", "temporal", "latency"):
         run[part] = {"missing": f"{part} was not run"}
     text = write_page(tmp_path, run).read_text(encoding="utf-8")
-    assert text.count("was not run") == 7
+    assert text.count("was not run") == 8
     assert draw_plots(run) == {}
 
 

@@ -22,8 +22,8 @@ def test_report_holds_every_stage_and_ratio() -> None:
     assert tuple(report["stages"]) == STAGES
     for name in RATIOS:
         assert report[name] > 0.0
-        assert report["spreads"][name]["lower_quartile"] <= report[name]
-        assert report["spreads"][name]["upper_quartile"] >= report[name]
+        assert report["spread"][name]["lower_quartile"] <= report[name]
+        assert report["spread"][name]["upper_quartile"] >= report[name]
     assert {"gather", "split", "sh"} <= set(report["stage_cpu_ms"])
     for name, row in report["stages"].items():
         assert row == {} or row["copies"] == pytest.approx(row["cpu_ms"] / report["copy_67_mb"]["cpu_ms"]), (

@@ -39,7 +39,7 @@ def test_parts_that_fail_are_told_and_the_others_are_written(
         bench.bench(out=tmp_path / "new", quick=True)
     assert stopped.value.exit_code == 3
     report = json.loads((tmp_path / "new" / "bench.json").read_text(encoding="utf-8"))
-    assert ran == ["server", "client", "methods", "ablation", "growth", "temporal", "latency"]
+    assert ran == ["server", "capture", "client", "methods", "ablation", "growth", "temporal", "latency"]
     assert report["server"] == {"measured": "server", "quick": True}
     assert report["client"] == {"missing": "no browser"}
     assert "ZeroDivisionError: a fault (test_bench.py:" in report["latency"]["missing"]
