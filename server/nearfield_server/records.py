@@ -162,6 +162,14 @@ class CameraFrame:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class ObjectPlacement:
+    """Where an object stands: `revision` changes whenever `world_from_object` (4, 4) float64 does."""
+
+    revision: int
+    world_from_object: NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ObjectPose:
     """Where a virtual object stands.
 

@@ -23,11 +23,10 @@ from nearfield_server.evaluation.irradiance import val_sh_coeffs
 from nearfield_server.evaluation.light_run import camera_frames
 from nearfield_server.geometry.cache import load_or_build
 from nearfield_server.geometry.probes import ProbeRays
-from nearfield_server.illumination.process import object_bounds
+from nearfield_server.illumination.object_bounds import load_bounds
 from nearfield_server.pipeline.runner import LightPipeline
 from nearfield_server.records import ObjectPose
 from nearfield_server.scene.bundle import Bundle, load_bundle
-from nearfield_server.scene.model_source import load_source_model
 from nearfield_server.scene.ray_caster import RayCaster
 from nearfield_server.scene.room_config import load_room
 
@@ -108,7 +107,7 @@ class Truth:
             hidden_light=hidden,
         )
         self.caster = RayCaster(mesh.positions, mesh.faces)
-        bounds = [object_bounds(load_source_model(item.model_path).positions) for item in room.objects]
+        bounds = load_bounds(room)
         self._poses = [
             ObjectPose(
                 object_index=index,

@@ -11,14 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nearfield_server.errors import BusError
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ObjectPlacement:
-    """Where an object stands: `revision` changes whenever `world_from_object` (4, 4) does."""
-
-    revision: int
-    world_from_object: NDArray[np.float64]
+from nearfield_server.records import ObjectPlacement
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

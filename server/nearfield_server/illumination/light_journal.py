@@ -9,8 +9,8 @@ from typing import Any, Protocol
 
 from nearfield_server.bus.keys import LIGHT_LOG, LIGHT_LOG_BEGIN, LIGHT_LOG_END
 from nearfield_server.illumination.packet import PacketWriter
-from nearfield_server.recording.files.light_log import LightBegin, LightStep, ObjectState
-from nearfield_server.records import CameraFrame, ObjectPose
+from nearfield_server.recording.files.light_log import LightBegin, LightStep
+from nearfield_server.records import CameraFrame, ObjectPlacement, ObjectPose
 
 RECORDER = "recorder"
 """Name of the recorder process on the bus."""
@@ -93,7 +93,8 @@ class LightJournal:
             return
         self._number += 1
         objects = tuple(
-            ObjectState(revision=pose.revision, world_from_object=pose.world_from_object) for pose in poses
+            ObjectPlacement(revision=pose.revision, world_from_object=pose.world_from_object)
+            for pose in poses
         )
         step = LightStep(
             run=self._begun,

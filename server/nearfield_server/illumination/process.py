@@ -7,11 +7,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
-
-import numpy as np
-from numpy.typing import NDArray
 
 from nearfield_protocol.codec import encode_atlas_tiles
 from nearfield_server.bus.keys import LIGHT_ATLAS, LIGHT_PACKET
@@ -25,11 +22,11 @@ from nearfield_server.geometry.probes import ProbeRays
 from nearfield_server.illumination.atlas_channel import AtlasChannel, build_downsampler
 from nearfield_server.illumination.frames import STALE_AFTER_S, FrameCollector, FrameSource
 from nearfield_server.illumination.light_journal import LightJournal
+from nearfield_server.illumination.object_bounds import ObjectBounds, load_bounds, object_poses
 from nearfield_server.illumination.packet import PacketStream, PacketWriter
 from nearfield_server.illumination.work_ledger import WorkLedger
 from nearfield_server.pipeline.runner import LightPipeline
-from nearfield_server.records import LightUpdate, ObjectPose, RoomMesh, TexelGeometry
-from nearfield_server.scene.model_source import load_source_model
+from nearfield_server.records import LightUpdate, RoomMesh, TexelGeometry
 from nearfield_server.scene.room_config import RoomConfig, load_room
 
 REPEAT_PERIOD_S = 1.0
@@ -37,35 +34,6 @@ ATLAS_PERIOD_S = 0.1
 _WAIT_S = 0.1
 _STRAGGLERS_S = 0.02
 _STRAGGLERS_STEP_S = 0.002
-
-
-@dataclass(frozen=True, slots=True)
-class ObjectBounds:
-    """Bounding sphere of an object in its own axes: centre (3,) float64, radius in metres."""
-
-    centre: NDArray[np.float64]
-    radius: float
-
-
-def object_bounds(positions: NDArray[np.floating[Any]]) -> ObjectBounds:
-    """Return the sphere around the centre of the bounding box of (V, 3) positions, as prepared models have it."""
-    points = np.asarray(positions, np.float64)
-    centre = 0.5 * (points.min(axis=0) + points.max(axis=0))
-    return ObjectBounds(centre, float(np.linalg.norm(points - centre, axis=1).max()))
-
-
-def object_poses(state: ControlState, bounds: list[ObjectBounds]) -> list[ObjectPose]:
-    """Return the poses of the control state as the pipeline takes them."""
-    return [
-        ObjectPose(
-            object_index=index,
-            revision=placement.revision,
-            world_from_object=placement.world_from_object,
-            centre_object=sphere.centre,
-            radius=sphere.radius,
-        )
-        for index, (placement, sphere) in enumerate(zip(state.objects, bounds, strict=True))
-    ]
 
 
 class Illumination:
@@ -114,7 +82,7 @@ class Illumination:
         The newest packet is also repeated once per second: a gateway that has just started has heard none.
         """
         self._begin_journal_if_asked()
-        poses = object_poses(state, self._bounds)
+        poses = object_poses(state.objects, self._bounds)
         frames = self._collector.collect()
         if all(frame is None for frame in frames):
             return
@@ -246,11 +214,6 @@ def prepare_illumination(
         journal,
         make_pipeline,
     )
-
-
-def load_bounds(room: RoomConfig) -> list[ObjectBounds]:
-    """Bounds of every object of a room."""
-    return [object_bounds(load_source_model(item.model_path).positions) for item in room.objects]
 
 
 def wait_for_all(collector: FrameCollector, signal: FrameSignal, period_s: float) -> None:

@@ -12,8 +12,9 @@ from nearfield_protocol.codec import decode_light_packet
 from nearfield_protocol.errors import ProtocolError
 from nearfield_server.bus.messages import room_revision
 from nearfield_server.errors import AssetError
+from nearfield_server.illumination.object_bounds import ObjectBounds, load_bounds, object_poses
 from nearfield_server.illumination.packet import PacketStream, PacketWriter
-from nearfield_server.illumination.process import ObjectBounds, load_bounds, prepare_pipeline
+from nearfield_server.illumination.process import prepare_pipeline
 from nearfield_server.pipeline.runner import LightPipeline
 from nearfield_server.recording.files.library import Recording, StoredFrame, open_recording
 from nearfield_server.recording.files.light_log import LightRun, LightStep
@@ -204,16 +205,7 @@ def _poses(step: LightStep, bounds: list[ObjectBounds]) -> list[ObjectPose]:
     objects = step.objects or ()
     if len(objects) != len(bounds):
         raise AssetError(f"update {step.number}: {len(objects)} objects, the room has {len(bounds)}")
-    return [
-        ObjectPose(
-            object_index=index,
-            revision=item.revision,
-            world_from_object=item.world_from_object,
-            centre_object=sphere.centre,
-            radius=sphere.radius,
-        )
-        for index, (item, sphere) in enumerate(zip(objects, bounds, strict=True))
-    ]
+    return object_poses(objects, bounds)
 
 
 def describe_difference(live: bytes, replayed: bytes) -> str:

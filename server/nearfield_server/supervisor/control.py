@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nearfield_protocol.codec import ClientMessage, SetLightWeight, SetObjectPose, Subscribe
-from nearfield_server.bus.messages import ControlState, ObjectPlacement
+from nearfield_server.bus.messages import ControlState
 from nearfield_server.errors import BusError
+from nearfield_server.records import ObjectPlacement
 from nearfield_server.scene.room_config import RoomConfig
 
 

@@ -10,8 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from nearfield_server.bus.keys import room_prefix
-from nearfield_server.bus.messages import ControlState, ObjectPlacement, status_json
+from nearfield_server.bus.messages import ControlState, status_json
 from nearfield_server.errors import BusError
+from nearfield_server.records import ObjectPlacement
 
 finite = st.floats(allow_nan=False, allow_infinity=False)
 

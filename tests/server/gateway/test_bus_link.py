@@ -11,10 +11,11 @@ import pytest
 
 from nearfield_protocol import codec
 from nearfield_protocol.session import ClientSession
-from nearfield_server.bus.messages import ControlState, ObjectPlacement
+from nearfield_server.bus.messages import ControlState
 from nearfield_server.gateway.bus_link import BusLink, light_health
 from nearfield_server.gateway.hub import LightHub
 from nearfield_server.gateway.pose import wire_pose
+from nearfield_server.records import ObjectPlacement
 from nearfield_server.supervisor.control import rigid_transform
 
 from .conftest import atlas_bytes, light_bytes

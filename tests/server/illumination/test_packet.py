@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 
 from nearfield_protocol.codec import VAL_DTYPE, decode_light_packet
-from nearfield_server.bus.messages import ControlState, ObjectPlacement, room_revision
+from nearfield_server.bus.messages import ControlState, room_revision
+from nearfield_server.illumination.object_bounds import object_bounds, object_poses
 from nearfield_server.illumination.packet import PacketWriter
-from nearfield_server.illumination.process import object_bounds, object_poses
-from nearfield_server.records import LightUpdate, RoomMesh
+from nearfield_server.records import LightUpdate, ObjectPlacement, RoomMesh
 
 HASH = "89abcdef" + "0" * 56
 
@@ -48,7 +48,7 @@ def test_a_packet_carries_lights_sh_and_revisions() -> None:
     state = _state(12)
     bounds = [object_bounds(np.array([[0.0, 0, 0], [2, 2, 2]]))]
     writer = PacketWriter.for_room(_mesh(), first_sequence=0xFFFFFFFE)
-    packet = decode_light_packet(writer.write(update, object_poses(state, bounds)))
+    packet = decode_light_packet(writer.write(update, object_poses(state.objects, bounds)))
     assert packet.sequence == 0xFFFFFFFF
     assert packet.timestamp_ns == 77
     assert packet.room_revision == room_revision(HASH) == 0x89ABCDEF
@@ -71,7 +71,7 @@ def test_light_that_is_the_same_on_the_wire_is_the_same_packet() -> None:
         threshold=np.ones(3, np.float32),
         stages=(),
     )
-    poses = object_poses(_state(12), [object_bounds(np.zeros((1, 3)))])
+    poses = object_poses(_state(12).objects, [object_bounds(np.zeros((1, 3)))])
     writer = PacketWriter.for_room(_mesh(), first_sequence=0xFFFFFFFE)
     first = writer.write(update, poses)
     moved = vals.copy()
@@ -82,7 +82,7 @@ def test_light_that_is_the_same_on_the_wire_is_the_same_packet() -> None:
     assert decode_light_packet(second).sequence == 0
     assert decode_light_packet(second).timestamp_ns == 10
     # Clients wait for the revision of a pose, also where the light is the same.
-    third = writer.write(update, object_poses(_state(13), [object_bounds(np.zeros((1, 3)))]))
+    third = writer.write(update, object_poses(_state(13).objects, [object_bounds(np.zeros((1, 3)))]))
     assert decode_light_packet(third).object_revisions.tolist() == [13]
 
 

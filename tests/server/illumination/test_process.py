@@ -12,14 +12,14 @@ import pytest
 
 from nearfield_protocol.codec import VAL_DTYPE, decode_light_packet
 from nearfield_server.bus.keys import LIGHT_ATLAS, LIGHT_PACKET
-from nearfield_server.bus.messages import ControlState, ObjectPlacement
+from nearfield_server.bus.messages import ControlState
 from nearfield_server.capture.frame_ring import FrameRingReader, FrameRingWriter
 from nearfield_server.capture.ring_memory import RingShape, create_ring
 from nearfield_server.illumination.frames import FrameCollector
 from nearfield_server.illumination.packet import PacketWriter
 from nearfield_server.illumination.process import Illumination, ObjectBounds, wait_for_all
 from nearfield_server.illumination.work_ledger import WorkLedger
-from nearfield_server.records import CameraFrame, LightUpdate, ObjectPose, StageReport
+from nearfield_server.records import CameraFrame, LightUpdate, ObjectPlacement, ObjectPose, StageReport
 
 
 class FakeBus:

@@ -14,11 +14,11 @@ from nearfield_server.recording.files.light_log import (
     LIGHT_FILE,
     LightBegin,
     LightStep,
-    ObjectState,
     line_of,
     read_light_log,
     step_from_fields,
 )
+from nearfield_server.records import ObjectPlacement
 
 _POSE = st.lists(st.floats(allow_nan=False, allow_infinity=False), min_size=16, max_size=16)
 _OBJECTS = st.lists(st.tuples(st.integers(0, 2**32 - 1), _POSE), max_size=3)
@@ -31,7 +31,7 @@ def test_an_update_comes_back_bit_for_bit(
     states = None
     if objects is not None:
         states = tuple(
-            ObjectState(revision=revision, world_from_object=np.array(pose).reshape(4, 4))
+            ObjectPlacement(revision=revision, world_from_object=np.array(pose).reshape(4, 4))
             for revision, pose in objects  # type: ignore[attr-defined]
         )
     step = LightStep(run=1, number=2, frames=tuple(frames), objects=states, packet=packet)
@@ -45,7 +45,7 @@ def test_an_update_comes_back_bit_for_bit(
 
 def _write(folder: Path) -> bytes:
     lines = LineWriter(folder / LIGHT_FILE)
-    pose = (ObjectState(revision=1, world_from_object=np.eye(4)),)
+    pose = (ObjectPlacement(revision=1, world_from_object=np.eye(4)),)
     for run in (1, 2):
         begin = LightBegin(run=run, first_sequence=10, backend="cpu", room_revision=5)
         lines.write(line_of(1, begin.to_fields()))

@@ -11,11 +11,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from nearfield_server.bus.messages import ControlState, ObjectPlacement
+from nearfield_server.bus.messages import ControlState
 from nearfield_server.errors import ServiceError
 from nearfield_server.recording.files.manifest import calibration_id, read_manifest
 from nearfield_server.recording.folder import begin_take, check_target
 from nearfield_server.recording.snapshot import resolve_room, safe_names, write_snapshot
+from nearfield_server.records import ObjectPlacement
 from nearfield_server.scene.room_config import load_room
 from nearfield_server.scene.room_model import load_room_mesh
 

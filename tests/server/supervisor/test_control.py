@@ -9,8 +9,9 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from nearfield_protocol.codec import Ack, MessageType, SetLightWeight, SetObjectPose, Subscribe
-from nearfield_server.bus.messages import ControlState, ObjectPlacement
+from nearfield_server.bus.messages import ControlState
 from nearfield_server.errors import BusError
+from nearfield_server.records import ObjectPlacement
 from nearfield_server.supervisor.control import apply_request, rigid_transform, want_atlas
 
 STATE = ControlState(

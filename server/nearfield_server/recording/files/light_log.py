@@ -14,19 +14,11 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from nearfield_server.recording.files.json_lines import read_lines
+from nearfield_server.records import ObjectPlacement
 
 LIGHT_FILE: Final = "light.jsonl"
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ObjectState:
-    """A virtual object in an update: revision of its pose, and the pose (4, 4) float64."""
-
-    revision: int
-    world_from_object: NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -71,7 +63,7 @@ class LightStep:
     run: int
     number: int
     frames: tuple[int | None, ...]
-    objects: tuple[ObjectState, ...] | None
+    objects: tuple[ObjectPlacement, ...] | None
     packet: bytes | None
 
     def to_fields(self) -> dict[str, Any]:
@@ -146,7 +138,7 @@ def step_from_fields(fields: dict[str, Any]) -> LightStep:
     )
 
 
-def _objects(value: Any) -> tuple[ObjectState, ...]:
+def _objects(value: Any) -> tuple[ObjectPlacement, ...]:
     if not isinstance(value, list) or len(value) > 1024:
         raise ValueError("objects: expected a list")
     states = []
@@ -159,7 +151,7 @@ def _objects(value: Any) -> tuple[ObjectState, ...]:
             raise ValueError("objects: expected 16 numbers") from None
         if pose.shape != (16,) or not np.isfinite(pose).all():
             raise ValueError("objects: expected 16 finite numbers")
-        states.append(ObjectState(revision=entry[0], world_from_object=pose.reshape(4, 4)))
+        states.append(ObjectPlacement(revision=entry[0], world_from_object=pose.reshape(4, 4)))
     return tuple(states)
 
 
