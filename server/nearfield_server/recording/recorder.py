@@ -24,6 +24,7 @@ from nearfield_server.recording.space import SpaceGuard, WriteRate
 SYNC_PERIOD_S: Final = 5.0
 """A power cut loses at most this much; a killed recorder loses only the frame in hand, because the kernel has the others."""
 _NICE: Final = 5
+_NICEST: Final = 19
 
 
 class FrameWriter(Protocol):
@@ -213,7 +214,9 @@ class Recorder:
 
     def _write_frames(self, cameras: Sequence[int]) -> None:
         # Where processors are short, light and capture come first; frames can wait in the backlog.
-        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _NICE)
+        thread = threading.get_native_id()
+        # Relative to what the service was started with: only root may ask for more than that.
+        os.setpriority(os.PRIO_PROCESS, thread, min(os.getpriority(os.PRIO_PROCESS, thread) + _NICE, _NICEST))
         while True:
             frame = self._backlog.take(cameras, timeout_s=0.5)
             if frame is None:

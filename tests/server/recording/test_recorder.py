@@ -40,7 +40,7 @@ class MemoryWriter:
         self.gate.set()
         self.sync_gate = threading.Event()
         self.sync_gate.set()
-        self.syncs = 0
+        self.syncs = self.nice = 0
         self.fault: OSError | None = None
         self.sync_fault: OSError | None = None
         self.closed = False
@@ -50,6 +50,7 @@ class MemoryWriter:
         if self.fault:
             raise self.fault
         self.frames.append((camera, info, pixels.copy()))
+        self.nice = os.getpriority(os.PRIO_PROCESS, threading.get_native_id())
         return pixels.nbytes
 
     def sync(self) -> None:
@@ -128,6 +129,14 @@ def test_the_picture_at_the_start_and_every_one_after_it_are_written(bench: Benc
     ] * 3
     assert (recorder.missed, recorder.frames_dropped) == (0, 0)
     assert bench.writer.closed
+
+
+def test_writers_are_nicer_than_the_service_and_never_ask_for_more(bench: Bench) -> None:
+    recorder = bench.start()
+    bench.picture(0, 1)
+    recorder.poll()
+    bench.wait(lambda: recorder.frames_written == 1)
+    assert bench.writer.nice == min(os.getpriority(os.PRIO_PROCESS, 0) + 5, 19)
 
 
 def test_frames_that_the_ring_has_overwritten_are_counted(bench: Bench) -> None:
