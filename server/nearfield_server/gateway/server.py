@@ -1,4 +1,4 @@
-"""Running the application: listening socket, uvicorn, and a server in a thread for tools and tests."""
+"""Running the application: uvicorn, and a server in a thread for tools and tests."""
 
 from __future__ import annotations
 
@@ -13,45 +13,10 @@ from typing import Any
 import uvicorn
 from starlette.types import ASGIApp
 
-from nearfield_server.errors import ServiceError
+from nearfield_server.gateway.listener import open_listener, tune_listener
 
-_TCP_USER_TIMEOUT = 18
-_TCP_NOTSENT_LOWAT = 25
 _WS_MAX_BYTES = 64 * 1024
 _SHUTDOWN_S = 2
-
-
-def open_listener(host: str, port: int) -> socket.socket:
-    """Bind and listen on TCP `host`:`port` (0 = any free port).
-
-    Raises:
-        ServiceError: the port is in use, forbidden, or the address is not of this machine.
-    """
-    family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    listener = socket.socket(family, socket.SOCK_STREAM)
-    try:
-        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        listener.bind((host, port))
-        listener.listen(128)
-    except OSError as error:
-        listener.close()
-        raise ServiceError(
-            f"cannot serve on {host} port {port}: {error.strerror}. "
-            "Stop the other program, or choose another port with --port"
-        ) from error
-    return listener
-
-
-def tune_listener(listener: socket.socket, user_timeout_ms: int = 5000) -> None:
-    """Set what accepted connections inherit (Linux): a peer that takes nothing for so long is dropped, little waits in the kernel.
-
-    Without it a client that stops reading keeps its connection for ever: a websocket ping waits behind the data that it does not take.
-    """
-    listener.setsockopt(socket.IPPROTO_TCP, _TCP_USER_TIMEOUT, user_timeout_ms)
-    listener.setsockopt(socket.IPPROTO_TCP, _TCP_NOTSENT_LOWAT, 16384)
-    # The latest packet must not sit behind a quarter megabyte of older data.
-    listener.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 65536)
-    listener.setblocking(False)
 
 
 class _Server(uvicorn.Server):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import socket
 import threading
 import time
 from dataclasses import replace
@@ -21,6 +20,7 @@ from nearfield_server.bus.worker import WorkerSpec
 from nearfield_server.capture.frame_signal import FrameSignal
 from nearfield_server.capture.ring_memory import RingShape, create_ring
 from nearfield_server.errors import BusError, ServiceError
+from nearfield_server.gateway.listener import open_listener
 from nearfield_server.scene.room_config import RoomConfig
 from nearfield_server.supervisor.child import Child
 from nearfield_server.supervisor.control import apply_request, initial_state, want_atlas
@@ -43,26 +43,6 @@ _RECORDER_STOP_LIMIT_S = 4.0  # what waits for the disk is still written; the la
 _log = structlog.get_logger("nearfield.supervisor")
 
 
-def listening_socket(host: str, port: int) -> socket.socket:
-    """Bind the port of the page. The supervisor holds it, so that a restarted gateway finds it again and clients only wait.
-
-    Raises:
-        ServiceError: the port is in use, forbidden, or the address is not of this machine.
-    """
-    family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    listener = socket.socket(family, socket.SOCK_STREAM | socket.SOCK_CLOEXEC)
-    try:
-        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        listener.bind((host, port))
-        listener.listen(128)
-    except OSError as error:
-        listener.close()
-        raise ServiceError(
-            f"cannot serve on {host} port {port}: {error.strerror}. Stop the other program, or choose another port with --port"
-        ) from error
-    return listener
-
-
 class Supervisor:
     """One running service. Use it from the main thread: `start()`, `run()` until `stop` is set, `close()`."""
 
@@ -83,7 +63,7 @@ class Supervisor:
         self._errands: Errands[dict[str, Any]] = Errands()
         self._desk = RecorderDesk(self._make_recorder, self._finish_recorder)
         with contextlib.ExitStack() as undo:
-            self._listener = undo.enter_context(listening_socket(settings.host, settings.port))
+            self._listener = undo.enter_context(open_listener(settings.host, settings.port))
             self._signal_fd = FrameSignal.create()
             undo.callback(os.close, self._signal_fd)
             self._ring_fds: list[int] = []

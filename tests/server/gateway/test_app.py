@@ -11,7 +11,7 @@ import pytest
 
 from nearfield_server.errors import ServiceError
 from nearfield_server.gateway.hub import LightHealth
-from nearfield_server.gateway.server import open_listener
+from nearfield_server.gateway.listener import open_listener
 
 from .conftest import StartGateway, light_bytes, scene_json
 

@@ -13,9 +13,10 @@ import pytest
 from nearfield_server.errors import ServiceError
 from nearfield_server.gateway.app import create_app
 from nearfield_server.gateway.hub import LightHub
+from nearfield_server.gateway.listener import open_listener, tune_listener
 from nearfield_server.gateway.ports import NoControls
 from nearfield_server.gateway.scene_description import SceneDescription
-from nearfield_server.gateway.server import open_listener, serve_app, serve_in_thread, tune_listener
+from nearfield_server.gateway.server import serve_app, serve_in_thread
 
 from .conftest import scene_json
 

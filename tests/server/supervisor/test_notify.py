@@ -11,7 +11,6 @@ import pytest
 from nearfield_server.errors import ServiceError
 from nearfield_server.supervisor.notify import notify_systemd
 from nearfield_server.supervisor.settings import ServiceSettings
-from nearfield_server.supervisor.supervisor import listening_socket
 
 
 def test_without_a_service_manager_nothing_is_sent(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -33,15 +32,6 @@ def test_the_message_arrives(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, ab
 def test_a_manager_that_is_gone_does_no_harm(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "gone"))
     assert not notify_systemd("READY=1")
-
-
-def test_a_port_in_use_is_an_error_in_words() -> None:
-    with listening_socket("127.0.0.1", 0) as listener:
-        port = listener.getsockname()[1]
-        with pytest.raises(ServiceError, match=f"port {port}.*--port"):
-            listening_socket("127.0.0.1", port)
-    with pytest.raises(ServiceError, match=r"203\.0\.113\.1"):
-        listening_socket("203.0.113.1", 0)
 
 
 def test_settings_pass_through_json_and_others_are_refused() -> None:
