@@ -13,6 +13,7 @@ from typing import Any
 import uvicorn
 from starlette.types import ASGIApp
 
+from nearfield_server.errors import ServiceError
 from nearfield_server.gateway.listener import open_listener, tune_listener
 
 _WS_MAX_BYTES = 64 * 1024
