@@ -6,7 +6,6 @@ import contextlib
 import json
 import os
 import time
-import urllib.request
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from datetime import datetime
@@ -70,9 +69,7 @@ class Rig:
 
     def seen(self) -> dict[str, Any]:
         """What `GET /api/status` says."""
-        with urllib.request.urlopen(f"http://127.0.0.1:{self.port}/api/status", timeout=PATIENCE_S) as answer:
-            found: dict[str, Any] = json.load(answer)
-        return found
+        return self.service.api_status()
 
     def until(self, what: str, condition: Callable[[dict[str, Any]], Any]) -> Any:
         """Ask for the status again and again until `condition(status)` is true, and return its value."""

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import threading
 import time
+import urllib.request
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -102,6 +103,13 @@ class Service:
         """The last light packet heard."""
         with self._changed:
             return self._packets[-1][1]
+
+    def api_status(self) -> dict[str, Any]:
+        """What `GET /api/status` says."""
+        url = f"http://127.0.0.1:{self.status('supervisor')['port']}/api/status"
+        with urllib.request.urlopen(url, timeout=PATIENCE_S) as answer:
+            found: dict[str, Any] = json.load(answer)
+        return found
 
     def picture_times(self) -> list[float]:
         """When the pictures that the light is made of were taken, per camera, in seconds of the illumination process's life.

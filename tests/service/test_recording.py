@@ -10,7 +10,6 @@ import signal
 import subprocess
 import sys
 import time
-import urllib.request
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -64,10 +63,9 @@ def _ask(service: Service, **request: Any) -> dict[str, Any]:
 
 def _seen(service: Service, condition: Callable[[dict[str, Any]], Any], what: str) -> dict[str, Any]:
     """What the page is told of the recorder, as soon as it is so."""
-    port, end = service.status("supervisor")["port"], time.monotonic() + PATIENCE_S
+    end = time.monotonic() + PATIENCE_S
     while True:
-        with urllib.request.urlopen(f"http://127.0.0.1:{port}/api/status", timeout=PATIENCE_S) as answer:
-            status: dict[str, Any] = json.load(answer)
+        status = service.api_status()
         recorder: dict[str, Any] = status["processes"].get("recorder", {})
         if "state" in recorder and condition(recorder):
             assert not status["light"]["is_stale"]

@@ -79,9 +79,8 @@ class FrameStream:
         """Open the device; its clock and its numbers begin anew."""
         capabilities = self._device.open()
         if not self._has_delivered:
-            self._start_limit_s = (
-                FIRST_FRAME_S  # it was opened in vain before, perhaps because it had too little time
-            )
+            # It was opened in vain before, perhaps because it had too little time.
+            self._start_limit_s = FIRST_FRAME_S
         self.clock_map.restart()
         self._last_id, self._has_delivered, self._is_triggered = None, False, False
         self._alive_ns = self._opened_ns = self._clock()

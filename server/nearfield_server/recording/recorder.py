@@ -24,7 +24,6 @@ from nearfield_server.recording.space import SpaceGuard, WriteRate
 SYNC_PERIOD_S: Final = 5.0
 """A power cut loses at most this much; a killed recorder loses only the frame in hand, because the kernel has the others."""
 _NICE: Final = 5
-_NICEST: Final = 19
 
 
 class FrameWriter(Protocol):
@@ -215,8 +214,8 @@ class Recorder:
     def _write_frames(self, cameras: Sequence[int]) -> None:
         # Where processors are short, light and capture come first; frames can wait in the backlog.
         thread = threading.get_native_id()
-        # Relative to what the service was started with: only root may ask for more than that.
-        os.setpriority(os.PRIO_PROCESS, thread, min(os.getpriority(os.PRIO_PROCESS, thread) + _NICE, _NICEST))
+        # Relative to what the service was started with (the kernel stops at 19): only root may ask for more than that.
+        os.setpriority(os.PRIO_PROCESS, thread, os.getpriority(os.PRIO_PROCESS, thread) + _NICE)
         while True:
             frame = self._backlog.take(cameras, timeout_s=0.5)
             if frame is None:
