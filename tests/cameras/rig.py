@@ -62,11 +62,6 @@ class Rig:
         """One per camera."""
         return [Cable(camera.address) for camera in self.cameras]
 
-    @property
-    def port(self) -> int:
-        """TCP port of the page."""
-        return int(self.service.status("supervisor")["port"])
-
     def seen(self) -> dict[str, Any]:
         """What `GET /api/status` says."""
         return self.service.api_status()

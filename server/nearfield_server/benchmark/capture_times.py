@@ -94,8 +94,6 @@ def measure_capture(bundle: Path, rounds: int) -> dict[str, Any]:
 def _scene(bundle: Path) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
     """(H, W, 3) radiance, and (H, W) where the lens shows the room."""
     room = load_room(bundle)
-    if not room.cameras:
-        raise ConfigError(f"{bundle}: no camera; expected a bundle with simulated cameras")
     scenery = Scenery(room, room.cameras[0].camera_id)
     traced = scenery.radiance(scenery.nominal_weights)
     picture = gaussian_filter(traced, (_LENS_BLUR, _LENS_BLUR, 0))
