@@ -120,4 +120,5 @@ def assert_is_room(frame: RawFrame, room: NDArray[np.float64]) -> None:
     error, deviation = error[chosen], deviation[chosen]
     assert np.quantile(np.abs(error / deviation), 0.95) < 2.5
     weights = deviation**-2
-    assert abs(np.sum(weights * error) / np.sum(weights)) < 0.005
+    # The mean is known to 0.15 %; a picture of 1 ms that was exposed for 100 ms would shift it by 1 %.
+    assert abs(np.sum(weights * error)) < 4.5 * np.sqrt(np.sum(weights))

@@ -249,8 +249,6 @@ class Bracketing:
 
     def _learn(self, shift: int | None) -> None:
         """Correct the labels once the same shift was seen several times in a row."""
-        if isinstance(self.method, SoftwareTrigger):
-            self.method.sets_early = False
         if shift is None:
             self._other_shifts.clear()
             return

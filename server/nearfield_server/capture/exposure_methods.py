@@ -126,11 +126,9 @@ class Sequencer:
 class SoftwareTrigger:
     """Set, ask, take: each picture has the exposure that was set before it was asked for.
 
-    The next exposure is set while the picture is read out and sent, as soon as its own exposure must be over; where that turns out to
-    be too early (`sets_early`), after it has arrived.
-
-    Attributes:
-        sets_early: set the next exposure before the picture has arrived. Cameras that expose some time after the trigger do not bear it.
+    The next exposure is set once the picture has arrived, never while it is read out and sent. Nobody knows from outside when a camera
+    begins to expose after a trigger; a busy one that is overtaken by the next setting gives a picture a wrong exposure, and in a dark
+    room the pixels cannot tell.
     """
 
     name: MethodName = "software_trigger"
@@ -147,7 +145,6 @@ class SoftwareTrigger:
         self.exposures: tuple[Exposure, ...] = ()
         self.frames_unused = 0
         self.triggers_lost = 0
-        self.sets_early = True
         self._plan: tuple[Exposure, ...] = ()
         self._begun_ns = -self._period_ns
         self._is_switched = False
@@ -173,17 +170,10 @@ class SoftwareTrigger:
             self._apply(self._index)
             self._triggered_ns = self._clock()
             self._device.trigger()
-        exposed_ns = self._triggered_ns + round(1.1e9 * self.exposures[self._index].time_s)
-        if self.sets_early and self._set == self._index and len(self._plan) > 1:
-            frame = self._next(min(end_ns, exposed_ns))
-            if frame is None and self._clock() < exposed_ns:
-                return None
-            self._apply((self._index + 1) % len(self._plan))
-        else:
-            frame = None
-        frame = frame or self._next(end_ns)
+        frame = self._next(end_ns)
         if frame is not None:
             return self._taken(frame)
+        exposed_ns = self._triggered_ns + round(1.1e9 * self.exposures[self._index].time_s)
         if self._clock() - exposed_ns > _LATE_S * 1e9:
             self._lost()
         return None
