@@ -59,7 +59,7 @@ $(BENCH_BUILD): $(BENCH_SOURCES) $(CLIENT_SOURCES) $(NODE_STAMP)
 demo: setup  ## start the service on the embedded virtual lab and print its address
 	exec $(BIN)/nearfield demo --port $(PORT)
 
-test: setup lint unit  ## everything that CI runs
+test: setup lint unit  ## all linters and tests that need no kernel drivers
 
 bench: setup  ## run time against error of every method, on this machine: writes out/bench (about 40 minutes); BUNDLES=... for more rooms
 	$(BIN)/nearfield bench --out out/bench $(BUNDLES)

@@ -5,13 +5,15 @@
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 
-if [ "$(id -u)" = 0 ] && [ -d "/lib/modules/$(uname -r)" ] && modprobe -qn vivid; then
-  echo "vivid: on this machine (kernel $(uname -r))"
-  loaded=$(lsmod | grep -c '^vivid ' || true)
-  [ "$loaded" != 0 ] || modprobe vivid n_devs=2 node_types=0x1,0x1 multiplanar=1,2 num_inputs=1,1 input_types=0,0
-  modprobe -a vhci-hcd uvcvideo || echo "vivid: no virtual USB port here"
-  trap '[ "$loaded" != 0 ] || rmmod vivid' EXIT
-  .venv/bin/python -m pytest -m vivid --confcutdir=tests/v4l2 tests/v4l2 "$@"
-  exit
-fi
-exec tests/v4l2/guest.sh "$@"
+# Whether this kernel lets us have the virtual cameras; `was_loaded` then says whether they were here before.
+load_vivid() {
+  [ "$(id -u)" = 0 ] && [ -d "/lib/modules/$(uname -r)" ] || return 1
+  was_loaded=$(lsmod | grep -c '^vivid ' || true)
+  [ "$was_loaded" != 0 ] || modprobe -q vivid n_devs=2 node_types=0x1,0x1 multiplanar=1,2 num_inputs=1,1 input_types=0,0
+}
+
+load_vivid || exec tests/v4l2/guest.sh "$@"
+echo "vivid: on this machine (kernel $(uname -r))"
+modprobe -a vhci-hcd uvcvideo || echo "vivid: no virtual USB port here"
+trap '[ "$was_loaded" != 0 ] || rmmod vivid' EXIT
+.venv/bin/python -m pytest -m vivid --confcutdir=tests/v4l2 tests/v4l2 "$@"
