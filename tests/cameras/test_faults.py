@@ -5,9 +5,12 @@ Four cameras of the tiny room; most faults happen to the second one, and the oth
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import signal
+import socket
+import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -15,9 +18,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.cameras.harness import wait_until
+from tests.cameras.harness import CameraProcess, wait_until
 from tests.cameras.rig import Rig, is_live, num_threads, open_descriptors, running_rig
 from tests.service.harness import TINY_ROOM, child_pids, is_alive
+
+from nearfield_server.capture.aravis.gvcp import PORT
 
 pytestmark = [pytest.mark.cameras, pytest.mark.service, pytest.mark.timeout(300)]
 
@@ -247,6 +252,72 @@ def test_a_clock_that_jumps_stops_nothing(rig: Rig) -> None:
         )
         assert is_live(status["cameras"][VICTIM])
         assert reconnects(status) == reconnects(before)
+
+
+def test_a_clock_that_runs_too_fast_is_followed(rig: Rig) -> None:
+    """Three times faster than quartz ever does: the microseconds per second are found, and nothing of it is seen in the light."""
+    camera = rig.cameras[VICTIM]
+    before = rig.seen()["processes"][NAME]["source"]["clock_jumps"]
+    camera.restart()
+    camera.tell(clock_ppm=300.0)
+    try:
+
+        def is_followed(status: dict[str, Any]) -> dict[str, Any] | None:
+            source = status["processes"][NAME]["source"]
+            is_near = abs(source["clock_skew_ppm"] + 300.0) < 30.0
+            return status if is_near and is_live(status["cameras"][VICTIM]) else None
+
+        status = rig.until("the clock's speed", is_followed)
+        assert status["processes"][NAME]["source"]["clock_jumps"] == before
+        assert not status["light"]["is_stale"]
+    finally:
+        camera.restart()
+
+
+def test_a_camera_that_another_program_has_taken_is_left_to_it_and_used_once_it_is_free(rig: Rig) -> None:
+    camera = rig.cameras[VICTIM]
+    camera.close()
+    rig.until("the camera lost", is_lost)
+    with control_taken_at_start(camera):
+        lost = rig.until(
+            "the other program in words",
+            lambda status: (found := is_lost(status)) and "another program" in found["fault"] and found,
+        )
+        assert camera.address in lost["fault"]
+    rig.all_well()
+    assert is_set_as_the_room_file_says(rig)
+
+
+@contextlib.contextmanager
+def control_taken_at_start(camera: CameraProcess) -> Iterator[None]:
+    """Switch a camera on and take it before the service does; its heartbeat stops at the end, and the camera sets itself free."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as program:
+        program.bind(("127.0.0.1", 0))
+        program.settimeout(0.01)
+        camera.start()
+        wait_until("control of the camera", lambda: take_control(program, camera.address))
+        stop = threading.Event()
+
+        def heartbeat() -> None:
+            while not stop.wait(0.2):
+                take_control(program, camera.address)
+
+        thread = threading.Thread(target=heartbeat)
+        thread.start()
+        try:
+            camera.ready()
+            yield
+        finally:
+            stop.set()
+            thread.join()
+
+
+def take_control(program: socket.socket, address: str) -> bool:
+    """Write 2 to the control register of a camera (GigE Vision 2.0, 28); whether it was granted."""
+    with contextlib.suppress(OSError):
+        program.sendto(bytes([0x42, 1, 0, 0x82, 0, 8, 0, 1, 0, 0, 0x0A, 0, 0, 0, 0, 2]), (address, PORT))
+        return program.recv(100)[:2] == b"\0\0"
+    return False
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
