@@ -55,7 +55,9 @@ def export(
 ) -> None:
     """Turn a recording into one of OpenEXR files, which any picture tool opens."""
     found = open_recording(recording)
-    if to.exists() and any(to.iterdir()):
+    if to.resolve().is_relative_to(recording.resolve()):
+        raise ConfigError(f"{to}: expected a folder outside of the recording {recording}")
+    if to.exists() and (not to.is_dir() or any(to.iterdir())):
         raise ConfigError(f"{to}: expected a new or empty folder")
     damaged = [
         words for words in _with_progress("exporting", found.num_frames, export_exr(found, to)) if words

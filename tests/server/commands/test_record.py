@@ -10,7 +10,7 @@ from tests.server.recording.conftest import make_recording
 from typer.testing import CliRunner
 
 from nearfield_server.commands.record import record
-from nearfield_server.commands.recording import app
+from nearfield_server.commands.recording import app, export
 from nearfield_server.commands.replay import replay
 from nearfield_server.commands.serve import recording_options
 from nearfield_server.errors import AssetError, ConfigError
@@ -59,3 +59,17 @@ def test_a_recording_is_described_verified_and_exported(
     assert "7 of 8 frames are whole" in found.stdout
     again = runner.invoke(app, ["export", str(folder), "--to", str(tmp_path / "exr")])
     assert isinstance(again.exception, ConfigError)
+
+
+def test_an_export_goes_into_a_folder_of_its_own(tmp_path: Path, make_recording: Callable[..., Path]) -> None:
+    folder = make_recording("raw")
+    (tmp_path / "file").write_text("")
+    before = sorted(folder.rglob("*"))
+    for to, words in (
+        (tmp_path / "file", "new or empty"),
+        (folder, "outside of the recording"),
+        (folder / "room" / "exr", "outside of the recording"),
+    ):
+        with pytest.raises(ConfigError, match=words):
+            export(folder, to)
+    assert sorted(folder.rglob("*")) == before
