@@ -39,7 +39,7 @@ Both kinds, everything optional:
 from __future__ import annotations
 
 from ipaddress import IPv4Address
-from typing import Annotated, Literal, Self
+from typing import Annotated, Final, Literal, Self
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
@@ -206,12 +206,16 @@ class V4l2SourceTable(SensorTable):
         return self
 
 
+REMOTE_NAME: Final = r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$"
+"""What nodes and their cameras may be called: the names go into keys of the bus and names of files."""
+
+
 class RemoteSourceTable(_Strict):
     """A camera of another machine, whose `nearfield capture` joins this service."""
 
     kind: Literal["remote"]
-    node: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$")]
-    camera: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$")]
+    node: Annotated[str, Field(pattern=REMOTE_NAME)]
+    camera: Annotated[str, Field(pattern=REMOTE_NAME)]
 
 
 DeviceSourceTable = AravisSourceTable | V4l2SourceTable

@@ -32,7 +32,7 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from nearfield_server.errors import AssetError
-from nearfield_server.scene.device_schema import AravisSourceTable, V4l2SourceTable
+from nearfield_server.scene.device_schema import REMOTE_NAME, AravisSourceTable, V4l2SourceTable
 from nearfield_server.scene.room_config import SourceConfig, SwitchableLight, check_unique, source_config
 from nearfield_server.scene.room_schema import (
     Address,
@@ -43,7 +43,6 @@ from nearfield_server.scene.room_schema import (
     read_table,
 )
 
-_NAME = r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$"
 Rate = Annotated[float, Field(ge=0.5, le=240, allow_inf_nan=False)]
 
 
@@ -54,7 +53,7 @@ class _Strict(BaseModel):
 class NodeCameraTable(_Strict):
     """Table `cameras` of a node file."""
 
-    id: Annotated[str, Field(pattern=_NAME)]
+    id: Annotated[str, Field(pattern=REMOTE_NAME)]
     width: Side
     height: Side
     source: Annotated[
@@ -79,7 +78,7 @@ class NodeTable(_Strict):
     """The whole file."""
 
     format: Literal[1]
-    node: Annotated[str, Field(pattern=_NAME)]
+    node: Annotated[str, Field(pattern=REMOTE_NAME)]
     room: Annotated[str, Field(min_length=1, max_length=64)]
     connect: Address
     certificates: Annotated[str, Field(min_length=1)]

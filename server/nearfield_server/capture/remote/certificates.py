@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import datetime
 import os
+import re
 import ssl
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -22,6 +23,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from nearfield_server.errors import ConfigError
+from nearfield_server.scene.device_schema import REMOTE_NAME
 
 AUTHORITY_NAME = "room authority"
 SERVICE_NAME = "service"
@@ -30,6 +32,7 @@ DEFAULT_DAYS = 825
 _AUTHORITY_DAYS = 3650
 # A node whose clock is a little behind must not find its new certificate "not yet valid".
 _CLOCK_SLACK = datetime.timedelta(minutes=10)
+_HOST_NAME = r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,252}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -65,16 +68,20 @@ def new_room(folder: Path, addresses: Sequence[str], days: int = DEFAULT_DAYS) -
         days: validity of the service's certificate; that of the authority is ten years.
 
     Raises:
-        ConfigError: there is an authority already, no address is given, or the folder cannot be written.
+        ConfigError: there is an authority or a certificate of the service already, no address is given or one is wrong,
+            or the folder cannot be written. Where an argument is at fault, nothing is written.
     """
     if not addresses:
         raise ConfigError("expected at least one address under which nodes reach the service, found none")
+    # An authority without a certificate of the service would be in the way of the next try: all that can be wrong is told first.
+    names = [_alternative_name(address) for address in addresses]
     authority_file, authority_key_file = (folder / name for name in AUTHORITY_FILES)
     for path in (authority_file, authority_key_file):
         if path.exists():
             raise ConfigError(
                 f"{path} is there already; a new authority would lock out every node that has joined. Choose another folder, or delete it"
             )
+    _check_free(CertificateFiles.in_folder(folder, SERVICE_NAME))
     key = ec.generate_private_key(ec.SECP256R1())
     name = _name(AUTHORITY_NAME)
     certificate = (
@@ -86,7 +93,7 @@ def new_room(folder: Path, addresses: Sequence[str], days: int = DEFAULT_DAYS) -
     )
     _write_key(authority_key_file, key)
     _write(authority_file, certificate.public_bytes(serialization.Encoding.PEM), 0o644)
-    return _issue(folder, SERVICE_NAME, addresses, days)
+    return _issue(folder, SERVICE_NAME, names, days, ExtendedKeyUsageOID.SERVER_AUTH)
 
 
 def new_node(folder: Path, node: str, days: int = DEFAULT_DAYS) -> CertificateFiles:
@@ -98,28 +105,37 @@ def new_node(folder: Path, node: str, days: int = DEFAULT_DAYS) -> CertificateFi
         days: validity.
 
     Raises:
-        ConfigError: no authority there, the node has a certificate already, or the files cannot be written.
+        ConfigError: no authority there, no name that a node can have, the node has a certificate already, or the files cannot
+            be written.
     """
+    if not re.fullmatch(REMOTE_NAME, node):
+        raise ConfigError(
+            f"node {node[:80]!r}: expected 1 to 64 letters, digits, '_', '.' or '-' of ASCII, the first a letter or digit"
+        )
     if node == SERVICE_NAME or f"{node}.key" in AUTHORITY_FILES:
         raise ConfigError(
             f"a node cannot be called '{node}': files of the room have that name. Choose another"
         )
-    return _issue(folder, node, (), days)
+    # Node certificates carry their name as alternative name too: some TLS libraries look at nothing else.
+    names = [x509.DNSName(_as_dns(node))]
+    return _issue(folder, node, names, days, ExtendedKeyUsageOID.CLIENT_AUTH)
 
 
-def _issue(folder: Path, common_name: str, addresses: Sequence[str], days: int) -> CertificateFiles:
-    files = CertificateFiles.in_folder(folder, common_name)
+def _check_free(files: CertificateFiles) -> None:
     if files.key.exists() or files.certificate.exists():
         raise ConfigError(
             f"{files.certificate} or its key is there already. Delete both to replace them, or choose another name"
         )
+
+
+def _issue(
+    folder: Path, common_name: str, names: Sequence[x509.GeneralName], days: int, usage: x509.ObjectIdentifier
+) -> CertificateFiles:
+    files = CertificateFiles.in_folder(folder, common_name)
+    _check_free(files)
     authority = read_certificate(files.authority)
     authority_key = _read_key(folder / AUTHORITY_FILES[1])
     key = ec.generate_private_key(ec.SECP256R1())
-    is_service = bool(addresses)
-    usage = ExtendedKeyUsageOID.SERVER_AUTH if is_service else ExtendedKeyUsageOID.CLIENT_AUTH
-    # Node certificates carry their name as alternative name too: some TLS libraries look at nothing else.
-    names = [_alternative_name(address) for address in addresses] or [x509.DNSName(_as_dns(common_name))]
     builder = _builder(_name(common_name), authority.subject, key.public_key(), days)
     certificate = (
         builder.add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
@@ -150,10 +166,11 @@ def _alternative_name(address: str) -> x509.GeneralName:
         return x509.IPAddress(ip_address(address))
     except ValueError:
         pass
-    try:
-        return x509.DNSName(address)
-    except ValueError:
-        raise ConfigError(f"address {address!r}: expected an IP address or a host name in ASCII") from None
+    if not re.fullmatch(_HOST_NAME, address):
+        raise ConfigError(
+            f"address {address[:80]!r}: expected an IP address or a host name in ASCII, without a port"
+        )
+    return x509.DNSName(address)
 
 
 def _builder(

@@ -57,6 +57,31 @@ def test_nothing_is_overwritten(room: Path) -> None:
             new_node(room, name)
 
 
+@pytest.mark.parametrize("name", ["", "../up", "a/b", "é", "two words", "-x", "x" * 65, "x\n"])
+def test_a_node_has_a_name_that_node_files_and_room_files_take(room: Path, name: str) -> None:
+    before = sorted(room.parent.rglob("*"))
+    with pytest.raises(ConfigError, match="expected 1 to 64 letters"):
+        new_node(room, name)
+    assert sorted(room.parent.rglob("*")) == before
+
+
+@pytest.mark.parametrize("address", ["", "é.lan", "192.168.10.5:7448", "https://server.lan", "two words"])
+def test_a_wrong_address_is_not_in_the_way_of_the_right_one(tmp_path: Path, address: str) -> None:
+    with pytest.raises(ConfigError, match="expected an IP address or a host name"):
+        new_room(tmp_path, ["127.0.0.1", address])
+    assert list(tmp_path.iterdir()) == []
+    new_room(tmp_path, ["127.0.0.1"])
+
+
+def test_a_service_certificate_that_is_left_over_is_told_before_an_authority_is_made(tmp_path: Path) -> None:
+    new_room(tmp_path, ["127.0.0.1"])
+    for name in ("ca.pem", "ca.key"):
+        (tmp_path / name).unlink()
+    with pytest.raises(ConfigError, match=r"service\.pem or its key is there already"):
+        new_room(tmp_path, ["127.0.0.1"])
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["service.key", "service.pem"]
+
+
 def test_what_is_wrong_is_said(room: Path, other_room: Path, tmp_path: Path) -> None:
     node = CertificateFiles.in_folder(room, "window")
     with pytest.raises(ConfigError, match="is for 'window', expected 'door'"):
