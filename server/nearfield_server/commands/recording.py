@@ -32,7 +32,7 @@ def info(recording: Folder) -> None:
 
 @app.command()
 def verify(recording: Folder) -> None:
-    """Read every frame of a recording; exit code 1 if one is damaged."""
+    """Read every frame of a recording; exit code 1 if anything is damaged, missing or cut off, or there is no frame."""
     found = open_recording(recording)
     damaged = list(_with_progress("verifying", found.num_frames, verify_frames(found)))
     problems = [words for words in damaged if words]
@@ -42,7 +42,8 @@ def verify(recording: Folder) -> None:
         highlight=False,
         soft_wrap=True,
     )
-    if problems:
+    # Frames that could not even be found are in nobody's count: only the problems tell of them.
+    if problems or found.problems or not found.num_frames:
         raise typer.Exit(1)
 
 

@@ -73,3 +73,19 @@ def test_an_export_goes_into_a_folder_of_its_own(tmp_path: Path, make_recording:
         with pytest.raises(ConfigError, match=words):
             export(folder, to)
     assert sorted(folder.rglob("*")) == before
+
+
+def test_verify_fails_where_frames_are_missing(make_recording: Callable[..., Path]) -> None:
+    runner = CliRunner()
+    missing = make_recording("exr", name="missing")
+    (missing / "frames" / "left" / "0001_0000000002.exr").unlink()
+    cut = make_recording("raw", name="cut")
+    segment = next(cut.rglob("*.mcap"))
+    segment.write_bytes(segment.read_bytes()[: segment.stat().st_size // 2])
+    gone = make_recording("raw", name="gone")
+    next(gone.rglob("*.mcap")).unlink()
+    empty = make_recording("exr", name="empty", count=0)
+    for folder in (missing, cut, gone, empty):
+        assert runner.invoke(app, ["verify", str(folder)]).exit_code == 1, folder.name
+    told = runner.invoke(app, ["verify", str(missing)])
+    assert "0001_0000000002.exr is missing" in told.output
